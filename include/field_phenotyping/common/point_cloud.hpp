@@ -1,0 +1,35 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <vector>
+
+namespace field_phenotyping {
+
+/// A point cloud in coordinates local to `origin`.
+///
+/// Maps in UTM have coordinates that single precision cannot hold; every cloud inside the core is
+/// therefore stored relative to a nearby origin: float32 resolves 1 um at 10 m.
+struct PointCloud {
+  Eigen::Vector3d origin = Eigen::Vector3d::Zero();  ///< [m] of the local frame, in the map frame
+  std::vector<Eigen::Vector3f> points;               ///< [m] relative to `origin`
+  std::vector<std::uint32_t> colors;  ///< 0x00RRGGBB, one per point, or empty: no colour known
+
+  std::size_t size() const { return points.size(); }
+  bool empty() const { return points.empty(); }
+  bool hasColors() const { return !colors.empty(); }
+
+  /// Position of point `i` in the map frame [m].
+  Eigen::Vector3d mapPoint(std::size_t i) const { return origin + points[i].cast<double>(); }
+};
+
+/// Half-open range [begin, end) of indices into a cloud's points.
+struct IndexSpan {
+  std::uint32_t begin = 0;
+  std::uint32_t end = 0;
+
+  std::uint32_t size() const { return end - begin; }
+  bool empty() const { return end <= begin; }
+};
+
+}  // namespace field_phenotyping

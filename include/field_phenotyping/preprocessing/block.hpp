@@ -1,0 +1,50 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include "field_phenotyping/common/point_cloud.hpp"
+#include "field_phenotyping/preprocessing/ground_model.hpp"
+
+namespace field_phenotyping {
+
+/// Which square tile of the scene; tile (i, j) covers [i, i+1) x [j, j+1) tile sizes.
+struct BlockIndex {
+  std::int32_t x = 0;
+  std::int32_t y = 0;
+
+  friend bool operator==(const BlockIndex& a, const BlockIndex& b) {
+    return a.x == b.x && a.y == b.y;
+  }
+  friend bool operator<(const BlockIndex& a, const BlockIndex& b) {
+    return a.x != b.x ? a.x < b.x : a.y < b.y;
+  }
+};
+
+/// What every value that travels from stage to stage says about itself.
+struct BlockHeader {
+  std::uint64_t stamp_ns = 0U;  ///< time of the newest scan in the block [ns since the epoch]
+  std::string frame_id;         ///< frame of all positions: z up, metres
+  BlockIndex index;
+  std::uint32_t revision = 0U;  ///< counts how often this block has been handed on, from 1
+  bool final = false;           ///< no further scan is expected to reach this block
+  double tile_size = 2.0;       ///< [m]
+  double margin = 0.6;          ///< [m] of the neighbours' points that go with the tile
+
+  /// Whether (x, y) of the map frame lies in the tile, or within `tolerance` [m] of it.
+  bool holds(double x, double y, double tolerance = 0.0) const {
+    return x >= index.x * tile_size - tolerance && x < (index.x + 1) * tile_size + tolerance &&
+           y >= index.y * tile_size - tolerance && y < (index.y + 1) * tile_size + tolerance;
+  }
+};
+
+/// One tile of the scene with a margin of its neighbours, ready for segmentation: denoised, the
+/// soil taken out. Immutable once handed on.
+struct Block {
+  BlockHeader header;
+  PointCloud cloud;                  ///< above-ground points only
+  GroundModel ground;                ///< in the local frame of `cloud`
+  std::uint32_t ground_points = 0U;  ///< soil points that were taken out
+};
+
+}  // namespace field_phenotyping

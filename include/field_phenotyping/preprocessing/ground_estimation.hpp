@@ -1,0 +1,26 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "field_phenotyping/common/point_cloud.hpp"
+#include "field_phenotyping/parameters.hpp"
+#include "field_phenotyping/preprocessing/ground_model.hpp"
+
+namespace field_phenotyping {
+
+/// Models the soil below a cloud (2.3.2, made local): a plane by RANSAC over the lowest points,
+/// held near horizontal by gravity, then a robust plane round every node of a grid, so that slopes,
+/// ridges and roughness are followed.
+///
+/// Where too little of the seen area shows soil (it was cropped away) the model is marked as not
+/// observed and follows the lowest plant points instead. Deterministic. An empty cloud gives an
+/// empty model.
+GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameters& parameters);
+
+/// Marks soil points (1): those nearer to the model than its own roughness explains, at most
+/// `ground_distance`. Nothing is soil where the model was not observed.
+std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundModel& ground,
+                                         const PreprocessingParameters& parameters);
+
+}  // namespace field_phenotyping

@@ -1,0 +1,16 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "field_phenotyping/common/point_cloud.hpp"
+
+namespace field_phenotyping {
+
+/// Marks isolated points: 1 keeps, 0 drops a point with fewer than `min_neighbors` others within
+/// `radius` [m]. The radius doubles until the typical point has twice that many, so that a sparse
+/// cloud is not emptied.
+std::vector<std::uint8_t> radiusOutlierFilter(const PointCloud& cloud, float radius,
+                                              int min_neighbors);
+
+}  // namespace field_phenotyping

@@ -1,0 +1,71 @@
+#pragma once
+
+#include <Eigen/Geometry>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "field_phenotyping/parameters.hpp"
+#include "field_phenotyping/preprocessing/block.hpp"
+
+namespace field_phenotyping {
+
+/// One sweep of the sensor, or one whole accumulated cloud.
+struct Scan {
+  PointCloud cloud;             ///< sensor frame [m]; non-finite points are allowed and dropped
+  std::uint64_t stamp_ns = 0U;  ///< [ns since the epoch]
+};
+
+/// What became of the points of one scan.
+struct ScanReport {
+  std::size_t points = 0U;
+  std::size_t non_finite = 0U;
+  std::size_t out_of_range = 0U;  ///< by range from the sensor, or outside the crop box
+  std::size_t used = 0U;
+};
+
+/// First stage: scans in, blocks out (paper 2.3). Scans accumulate in a voxel map that is kept tile
+/// by tile; a tile that changed enough, or is final, is handed on as a block with outliers and soil
+/// taken out.
+///
+/// Not thread-safe, except that several makeBlock() may run at once while nothing else does.
+class Preprocessor {
+ public:
+  /// @param frame_id frame of the map, written into every block
+  Preprocessor(const PreprocessingParameters& parameters, std::string frame_id);
+  ~Preprocessor();
+  Preprocessor(Preprocessor&&) noexcept;
+  Preprocessor& operator=(Preprocessor&&) noexcept;
+
+  /// Parameters for all further scans and blocks. A new voxel or block size empties the map;
+  /// returns whether it did.
+  bool setParameters(const PreprocessingParameters& parameters);
+
+  /// Transforms, crops and accumulates one scan.
+  ScanReport addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
+
+  /// Blocks worth working now: changed enough since they were handed on, or no longer reached by
+  /// scans. `flush`: every block that changed at all, as final.
+  std::vector<BlockIndex> dueBlocks(bool flush) const;
+
+  /// Builds block `index` from what has accumulated. Thread-safe against other makeBlock().
+  Block makeBlock(const BlockIndex& index, bool flush) const;
+
+  /// Notes that `block` has been handed on: its tile is not due again until it changes; final tiles
+  /// far from the sensor are forgotten.
+  void markHandedOn(const BlockHeader& block);
+
+  /// Forgets everything (time jumped back, frame changed).
+  void reset();
+
+  std::size_t openTiles() const;
+  std::size_t voxels() const;
+  const PreprocessingParameters& parameters() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace field_phenotyping

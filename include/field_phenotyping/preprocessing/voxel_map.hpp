@@ -1,0 +1,79 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <map>
+#include <unordered_map>
+#include <vector>
+
+#include "field_phenotyping/common/point_cloud.hpp"
+#include "field_phenotyping/preprocessing/block.hpp"
+
+namespace field_phenotyping {
+
+/// Key of a voxel within its tile: 21 bits an axis, so coordinates of 0.003 m voxels may lie within
+/// +-3145 m of the tile's local origin.
+using VoxelKey = std::uint64_t;
+
+/// Key of the voxel that holds local position `p`.
+VoxelKey voxelKey(const Eigen::Vector3f& p, float voxel_size);
+
+/// The voxels of one square tile: each keeps the centroid of all points that ever fell into it
+/// (2.3.1). Positions are local to the tile's origin.
+class VoxelTile {
+ public:
+  /// Adds a point; returns whether it opened a new voxel. `color` is ignored without `with_color`.
+  bool insert(const Eigen::Vector3f& p, float voxel_size, bool with_color, std::uint32_t color);
+
+  /// Centroids in the order in which their voxels were opened.
+  Eigen::Vector3f centroid(std::size_t i) const {
+    return voxels_[i].sum / static_cast<float>(voxels_[i].count);
+  }
+  std::uint32_t color(std::size_t i) const;
+
+  std::size_t size() const { return voxels_.size(); }
+  bool hasColors() const { return !colors_.empty(); }
+
+ private:
+  struct Voxel {
+    Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+    std::uint32_t count = 0U;
+  };
+
+  std::unordered_map<VoxelKey, std::uint32_t> index_;
+  std::vector<Voxel> voxels_;
+  std::vector<std::array<std::uint32_t, 3>> colors_;  // sums of red, green, blue
+};
+
+/// Tiles by index, each with its place in the map frame. Tiles open as points arrive.
+class VoxelMap {
+ public:
+  VoxelMap(double tile_size, double voxel_size);
+
+  /// Index of the tile that holds (x, y) of the map frame.
+  BlockIndex tileAt(double x, double y) const;
+  /// Local origin of a tile in the map frame: its centre, at the map's height datum.
+  Eigen::Vector3d originOf(const BlockIndex& index) const;
+
+  /// Points of a tile and of its eight neighbours, as far as they lie within `margin` of the tile.
+  PointCloud extract(const BlockIndex& index, double margin) const;
+
+  VoxelTile& tile(const BlockIndex& index) { return tiles_[index]; }
+  const VoxelTile* find(const BlockIndex& index) const;
+  void erase(const BlockIndex& index);
+
+  /// The datum keeps local z small; set it once, before the first point.
+  void setHeightDatum(double z) { height_datum_ = z; }
+  double tileSize() const { return tile_size_; }
+  float voxelSize() const { return static_cast<float>(voxel_size_); }
+  const std::map<BlockIndex, VoxelTile>& tiles() const { return tiles_; }
+
+ private:
+  double tile_size_;
+  double voxel_size_;
+  double height_datum_ = 0.0;
+  std::map<BlockIndex, VoxelTile> tiles_;
+};
+
+}  // namespace field_phenotyping

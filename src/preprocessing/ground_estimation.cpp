@@ -1,0 +1,276 @@
+#include "field_phenotyping/preprocessing/ground_estimation.hpp"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <random>
+
+namespace field_phenotyping {
+namespace {
+
+constexpr float kCandidateCell = 0.1F;   // [m] one lowest point is taken from each such cell
+constexpr float kMinRoughness = 0.008F;  // [m] soil is never smoother than a sensor sees it
+constexpr float kRidgeHeight = 0.15F;    // [m] the local soil stays this near to the block's plane
+constexpr int kMinNodePoints = 6;
+
+/// z = a x + b y + c, local frame.
+struct Plane {
+  float a = 0.0F;
+  float b = 0.0F;
+  float c = 0.0F;
+
+  float heightAt(float x, float y) const { return a * x + b * y + c; }
+  float residual(const Eigen::Vector3f& p) const { return p.z() - heightAt(p.x(), p.y()); }
+};
+
+struct Extent {
+  Eigen::Vector2f low;
+  Eigen::Vector2f high;
+};
+
+Extent extentOf(const std::vector<Eigen::Vector3f>& points) {
+  Extent extent{points.front().head<2>(), points.front().head<2>()};
+  for (const Eigen::Vector3f& p : points) {
+    extent.low = extent.low.cwiseMin(p.head<2>());
+    extent.high = extent.high.cwiseMax(p.head<2>());
+  }
+  return extent;
+}
+
+/// The lowest point of every occupied cell of a horizontal grid.
+std::vector<Eigen::Vector3f> lowestPoints(const PointCloud& cloud, const Extent& extent) {
+  const auto columns =
+      static_cast<std::size_t>((extent.high.x() - extent.low.x()) / kCandidateCell) + 1U;
+  const auto rows =
+      static_cast<std::size_t>((extent.high.y() - extent.low.y()) / kCandidateCell) + 1U;
+  constexpr auto kNone = std::numeric_limits<std::uint32_t>::max();
+  std::vector<std::uint32_t> lowest(columns * rows, kNone);
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    const Eigen::Vector3f& p = cloud.points[i];
+    const auto column = static_cast<std::size_t>((p.x() - extent.low.x()) / kCandidateCell);
+    const auto row = static_cast<std::size_t>((p.y() - extent.low.y()) / kCandidateCell);
+    std::uint32_t& entry = lowest[row * columns + column];
+    if (entry == kNone || p.z() < cloud.points[entry].z()) entry = static_cast<std::uint32_t>(i);
+  }
+  std::vector<Eigen::Vector3f> candidates;
+  for (const std::uint32_t i : lowest) {
+    if (i != kNone) candidates.push_back(cloud.points[i]);
+  }
+  return candidates;
+}
+
+/// RANSAC score: soil is a plane that many cells' lowest points lie on and few lie below.
+int scorePlane(const Plane& plane, const std::vector<Eigen::Vector3f>& candidates,
+               float tolerance) {
+  int score = 0;
+  for (const Eigen::Vector3f& p : candidates) {
+    const float residual = plane.residual(p);
+    if (std::abs(residual) <= tolerance) {
+      ++score;
+    } else if (residual < -tolerance) {
+      --score;
+    }
+  }
+  return score;
+}
+
+/// Least squares over the points within `tolerance` of `plane`; `plane` itself when they are too
+/// few.
+Plane refine(const Plane& plane, const std::vector<Eigen::Vector3f>& points, float tolerance,
+             float max_slope) {
+  Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+  Eigen::Vector3d right = Eigen::Vector3d::Zero();
+  int count = 0;
+  for (const Eigen::Vector3f& p : points) {
+    if (std::abs(plane.residual(p)) > tolerance) continue;
+    const Eigen::Vector3d row(p.x(), p.y(), 1.0);
+    normal += row * row.transpose();
+    right += row * static_cast<double>(p.z());
+    ++count;
+  }
+  if (count < kMinNodePoints) return plane;
+  // A whisper of regularisation keeps the slope where it was when all points lie on one line.
+  const Eigen::Vector3d previous(plane.a, plane.b, plane.c);
+  const Eigen::Matrix3d damping = 1e-3 * Eigen::Vector3d(1.0, 1.0, 1e-3).asDiagonal();
+  const Eigen::Vector3d solved = (normal + damping).ldlt().solve(right + damping * previous);
+  const Plane refined{static_cast<float>(solved.x()), static_cast<float>(solved.y()),
+                      static_cast<float>(solved.z())};
+  return std::hypot(refined.a, refined.b) <= max_slope ? refined : plane;
+}
+
+/// The block's soil plane by RANSAC with a gravity prior.
+Plane ransacPlane(const std::vector<Eigen::Vector3f>& candidates, float tolerance,
+                  float max_slope) {
+  const auto lowest = std::min_element(
+      candidates.begin(), candidates.end(),
+      [](const Eigen::Vector3f& a, const Eigen::Vector3f& b) { return a.z() < b.z(); });
+  Plane best{0.0F, 0.0F, lowest->z()};
+  if (candidates.size() < 3U) return best;
+
+  constexpr int kIterations = 300;
+  constexpr unsigned kSeed = 1U;  // fixed: the same cloud always gives the same plane
+  std::mt19937 random(kSeed);
+  int best_score = scorePlane(best, candidates, tolerance);
+  for (int iteration = 0; iteration < kIterations; ++iteration) {
+    Eigen::Matrix3f rows;
+    Eigen::Vector3f heights;
+    for (int k = 0; k < 3; ++k) {
+      const Eigen::Vector3f& p = candidates[random() % candidates.size()];
+      rows.row(k) << p.x(), p.y(), 1.0F;
+      heights[k] = p.z();
+    }
+    constexpr float kMinTriangle =
+        0.02F;  // [m^2] twice the area: smaller ones say nothing of slope
+    if (std::abs(rows.determinant()) < kMinTriangle) continue;
+    const Eigen::Vector3f solved = rows.inverse() * heights;
+    const Plane plane{solved.x(), solved.y(), solved.z()};
+    if (std::hypot(plane.a, plane.b) > max_slope) continue;
+    const int score = scorePlane(plane, candidates, tolerance);
+    if (score > best_score) {
+      best_score = score;
+      best = plane;
+    }
+  }
+  return refine(best, candidates, tolerance, max_slope);
+}
+
+/// Soil round one node: the lower surface of the points near it, as a robust plane.
+GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_plane,
+                          const std::vector<Eigen::Vector3f>& nearby, float max_slope) {
+  GroundModel::Node node;
+  node.height = block_plane.heightAt(position.x(), position.y());
+  node.stddev = kRidgeHeight / 2.0F;
+  if (nearby.size() < static_cast<std::size_t>(kMinNodePoints)) return node;
+
+  // Leaves and weeds lie above the soil, so start from a low quantile and let the plane settle.
+  std::vector<float> residuals;
+  for (const Eigen::Vector3f& p : nearby) residuals.push_back(block_plane.residual(p));
+  const auto low = residuals.begin() + static_cast<std::ptrdiff_t>(residuals.size() / 5U);
+  std::nth_element(residuals.begin(), low, residuals.end());
+  Plane plane = block_plane;
+  plane.c += *low;
+  for (const float tolerance : {0.05F, 0.035F, 0.025F}) {
+    plane = refine(plane, nearby, tolerance, max_slope);
+  }
+
+  double squares = 0.0;
+  int count = 0;
+  for (const Eigen::Vector3f& p : nearby) {
+    const double residual = plane.residual(p);
+    if (std::abs(residual) > 0.025) continue;
+    squares += residual * residual;
+    ++count;
+  }
+  if (count < kMinNodePoints) return node;
+  node.height = plane.heightAt(position.x(), position.y());
+  const double roughness = std::sqrt(squares / count);
+  node.stddev = static_cast<float>(std::max<double>(roughness, kMinRoughness));
+  node.seen = 1U;
+  return node;
+}
+
+/// Nodes without soil of their own take the mean offset (from the block's plane) of seen
+/// neighbours, ring by ring, and a standard deviation that grows with the distance.
+void fillUnseenNodes(std::vector<GroundModel::Node>& nodes, int columns, int rows) {
+  std::vector<std::uint8_t> known(nodes.size());
+  for (std::size_t i = 0; i < nodes.size(); ++i) known[i] = nodes[i].seen;
+  for (bool changed = true; changed;) {
+    changed = false;
+    const std::vector<std::uint8_t> before = known;
+    for (int j = 0; j < rows; ++j) {
+      for (int i = 0; i < columns; ++i) {
+        const auto at = [&](int x, int y) {
+          return static_cast<std::size_t>(y) * static_cast<std::size_t>(columns) +
+                 static_cast<std::size_t>(x);
+        };
+        if (before[at(i, j)] != 0U) continue;
+        float height = 0.0F;
+        float stddev = 0.0F;
+        int count = 0;
+        for (int y = std::max(j - 1, 0); y <= std::min(j + 1, rows - 1); ++y) {
+          for (int x = std::max(i - 1, 0); x <= std::min(i + 1, columns - 1); ++x) {
+            if (before[at(x, y)] == 0U) continue;
+            height += nodes[at(x, y)].height;
+            stddev = std::max(stddev, nodes[at(x, y)].stddev);
+            ++count;
+          }
+        }
+        if (count == 0) continue;
+        nodes[at(i, j)].height = height / static_cast<float>(count);
+        nodes[at(i, j)].stddev = stddev + 0.01F;
+        known[at(i, j)] = 1U;
+        changed = true;
+      }
+    }
+  }
+}
+
+}  // namespace
+
+GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameters& parameters) {
+  if (cloud.empty()) return {};
+  const auto max_slope = static_cast<float>(std::tan(parameters.ground_max_tilt * M_PI / 180.0));
+  const auto tolerance = static_cast<float>(2.0 * parameters.ground_distance);
+  const auto spacing = static_cast<float>(parameters.ground_cell);
+  const Extent extent = extentOf(cloud.points);
+
+  // 1. The block's plane through the lowest points.
+  const std::vector<Eigen::Vector3f> candidates = lowestPoints(cloud, extent);
+  const Plane block_plane = ransacPlane(candidates, tolerance, max_slope);
+  const auto on_plane = std::count_if(
+      candidates.begin(), candidates.end(),
+      [&](const Eigen::Vector3f& p) { return std::abs(block_plane.residual(p)) <= tolerance; });
+  const bool observed = static_cast<double>(on_plane) >=
+                        parameters.ground_min_coverage * static_cast<double>(candidates.size());
+
+  const int columns = static_cast<int>((extent.high.x() - extent.low.x()) / spacing) + 2;
+  const int rows = static_cast<int>((extent.high.y() - extent.low.y()) / spacing) + 2;
+  const auto node_count = static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows);
+
+  // 2. Points near that plane, gathered round every node within one spacing.
+  std::vector<std::vector<Eigen::Vector3f>> nearby(node_count);
+  if (observed) {
+    for (const Eigen::Vector3f& p : cloud.points) {
+      if (std::abs(block_plane.residual(p)) > kRidgeHeight) continue;
+      const int i = static_cast<int>((p.x() - extent.low.x()) / spacing);
+      const int j = static_cast<int>((p.y() - extent.low.y()) / spacing);
+      for (int y = j; y <= std::min(j + 1, rows - 1); ++y) {
+        for (int x = i; x <= std::min(i + 1, columns - 1); ++x) {
+          nearby[static_cast<std::size_t>(y) * static_cast<std::size_t>(columns) +
+                 static_cast<std::size_t>(x)]
+              .push_back(p);
+        }
+      }
+    }
+  }
+
+  // 3. The soil at every node.
+  std::vector<GroundModel::Node> nodes(node_count);
+  for (int j = 0; j < rows; ++j) {
+    for (int i = 0; i < columns; ++i) {
+      const Eigen::Vector2f position =
+          extent.low + spacing * Eigen::Vector2f(static_cast<float>(i), static_cast<float>(j));
+      const auto node = static_cast<std::size_t>(j) * static_cast<std::size_t>(columns) +
+                        static_cast<std::size_t>(i);
+      nodes[node] = fitNode(position, block_plane, nearby[node], max_slope);
+    }
+  }
+  fillUnseenNodes(nodes, columns, rows);
+  return {extent.low, spacing, columns, rows, std::move(nodes), observed};
+}
+
+std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundModel& ground,
+                                         const PreprocessingParameters& parameters) {
+  std::vector<std::uint8_t> is_ground(cloud.size(), 0U);
+  if (!ground.observed()) return is_ground;
+  const auto most = static_cast<float>(parameters.ground_distance);
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    const Eigen::Vector3f& p = cloud.points[i];
+    const float roughness = ground.stddevAt(p.x(), p.y());
+    is_ground[i] = ground.heightAbove(p) <= std::min(most, 3.0F * roughness) ? 1U : 0U;
+  }
+  return is_ground;
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,271 @@
+#include "field_phenotyping/preprocessing/preprocessor.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <utility>
+
+#include "field_phenotyping/preprocessing/ground_estimation.hpp"
+#include "field_phenotyping/preprocessing/outlier_filter.hpp"
+#include "field_phenotyping/preprocessing/voxel_map.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr double kNanosecond = 1e-9;
+
+/// What the streaming side knows about one tile.
+struct TileState {
+  std::uint64_t touched_ns = 0U;    // newest scan that reached the block (tile or margin)
+  std::uint64_t handed_on_ns = 0U;  // newest scan when it was last handed on
+  std::size_t new_voxels = 0U;      // of the tile, since it was last handed on
+  std::size_t old_voxels = 0U;      // of the tile, when it was last handed on
+  std::uint32_t revision = 0U;
+  bool dirty = false;  // anything in the block changed since it was last handed on
+  bool final = false;  // handed on as final since its last change
+  bool evict = false;  // to be finished and forgotten: memory is short
+};
+
+PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std::uint8_t wanted) {
+  std::size_t kept = 0;
+  for (std::size_t i = 0; i < flags.size(); ++i) {
+    if (flags[i] != wanted) continue;
+    cloud.points[kept] = cloud.points[i];
+    if (cloud.hasColors()) cloud.colors[kept] = cloud.colors[i];
+    ++kept;
+  }
+  cloud.points.resize(kept);
+  if (cloud.hasColors()) cloud.colors.resize(kept);
+  return cloud;
+}
+
+}  // namespace
+
+struct Preprocessor::Impl {
+  Impl(const PreprocessingParameters& initial_parameters, std::string frame)
+      : parameters(initial_parameters),
+        frame_id(std::move(frame)),
+        map(parameters.block_size, parameters.voxel_size) {}
+
+  void clear() {
+    map = VoxelMap(parameters.block_size, parameters.voxel_size);
+    states.clear();
+    voxel_count = 0U;
+    newest_ns = 0U;
+    has_datum = false;
+  }
+
+  bool inRange(const Eigen::Vector3f& point) const {
+    const double range = point.norm();
+    return range >= parameters.min_range && range <= parameters.max_range;
+  }
+
+  bool inCropBox(const Eigen::Vector3d& p) const {
+    return p.x() >= parameters.min_x && p.x() <= parameters.max_x && p.y() >= parameters.min_y &&
+           p.y() <= parameters.max_y && p.z() >= parameters.min_z && p.z() <= parameters.max_z;
+  }
+
+  void insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color);
+  void touchBlocksAround(const BlockIndex& index, const Eigen::Vector3f& local);
+  void chooseEvictions();
+  bool isFinal(const TileState& state) const;
+  bool mayForget(const BlockIndex& index, const TileState& state) const;
+
+  PreprocessingParameters parameters;
+  std::string frame_id;
+  VoxelMap map;
+  std::map<BlockIndex, TileState> states;
+  std::size_t voxel_count = 0U;
+  std::uint64_t newest_ns = 0U;
+  Eigen::Vector2d scan_center = Eigen::Vector2d::Zero();
+  bool has_datum = false;
+};
+
+/// Every block whose tile or margin holds the point has changed.
+void Preprocessor::Impl::touchBlocksAround(const BlockIndex& index, const Eigen::Vector3f& local) {
+  const auto half = static_cast<float>(0.5 * parameters.block_size);
+  const auto size = static_cast<float>(parameters.block_size);
+  const auto margin = static_cast<float>(parameters.block_margin);
+  const int rings = static_cast<int>(std::ceil(parameters.block_margin / parameters.block_size));
+  for (int dy = -rings; dy <= rings; ++dy) {
+    for (int dx = -rings; dx <= rings; ++dx) {
+      const float away_x = std::abs(local.x() - static_cast<float>(dx) * size) - half;
+      const float away_y = std::abs(local.y() - static_cast<float>(dy) * size) - half;
+      if (away_x > margin || away_y > margin) continue;
+      const auto found = states.find({index.x + dx, index.y + dy});
+      if (found == states.end()) continue;
+      found->second.touched_ns = newest_ns;
+      found->second.dirty = true;
+      found->second.final = false;
+    }
+  }
+}
+
+void Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color) {
+  if (!has_datum) {
+    map.setHeightDatum(std::floor(p.z()));
+    has_datum = true;
+  }
+  const BlockIndex index = map.tileAt(p.x(), p.y());
+  const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
+  TileState& state = states[index];
+  if (map.tile(index).insert(local, map.voxelSize(), with_color, color)) {
+    ++state.new_voxels;
+    ++voxel_count;
+  }
+  touchBlocksAround(index, local);
+}
+
+/// Past the memory limit the tiles that were not reached for longest go first.
+void Preprocessor::Impl::chooseEvictions() {
+  const auto limit = static_cast<std::size_t>(parameters.memory_limit);
+  if (voxel_count <= limit) return;
+  std::vector<std::pair<std::uint64_t, BlockIndex>> by_age;
+  for (const auto& [index, state] : states) by_age.emplace_back(state.touched_ns, index);
+  std::sort(by_age.begin(), by_age.end());
+  std::size_t excess = voxel_count - limit;
+  for (const auto& [touched, index] : by_age) {
+    if (excess == 0U) break;
+    states[index].evict = true;
+    const VoxelTile* tile = map.find(index);
+    excess -= std::min(excess, tile == nullptr ? 0U : tile->size());
+  }
+}
+
+bool Preprocessor::Impl::isFinal(const TileState& state) const {
+  return state.evict ||
+         static_cast<double>(newest_ns - state.touched_ns) * kNanosecond >= parameters.final_after;
+}
+
+bool Preprocessor::Impl::mayForget(const BlockIndex& index, const TileState& state) const {
+  if (state.evict) return true;
+  const Eigen::Vector2d away = map.originOf(index).head<2>() - scan_center;
+  return state.final && !state.dirty && away.norm() > parameters.final_distance;
+}
+
+Preprocessor::Preprocessor(const PreprocessingParameters& parameters, std::string frame_id)
+    : impl_(std::make_unique<Impl>(parameters, std::move(frame_id))) {}
+Preprocessor::~Preprocessor() = default;
+Preprocessor::Preprocessor(Preprocessor&&) noexcept = default;
+Preprocessor& Preprocessor::operator=(Preprocessor&&) noexcept = default;
+
+bool Preprocessor::setParameters(const PreprocessingParameters& parameters) {
+  const bool new_grid = parameters.voxel_size != impl_->parameters.voxel_size ||
+                        parameters.block_size != impl_->parameters.block_size;
+  impl_->parameters = parameters;
+  if (new_grid) impl_->clear();
+  return new_grid;
+}
+
+ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor) {
+  ScanReport report;
+  report.points = scan.cloud.size();
+  impl_->newest_ns = std::max(impl_->newest_ns, scan.stamp_ns);
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  for (std::size_t i = 0; i < scan.cloud.size(); ++i) {
+    if (!scan.cloud.points[i].allFinite()) {
+      ++report.non_finite;
+      continue;
+    }
+    const Eigen::Vector3d p = T_map_sensor * scan.cloud.mapPoint(i);
+    if (!impl_->inRange(scan.cloud.points[i]) || !impl_->inCropBox(p)) {
+      ++report.out_of_range;
+      continue;
+    }
+    impl_->insert(p, scan.cloud.hasColors(), scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U);
+    sum += p.head<2>();
+    ++report.used;
+  }
+  if (report.used > 0U) impl_->scan_center = sum / static_cast<double>(report.used);
+  impl_->chooseEvictions();
+  return report;
+}
+
+std::vector<BlockIndex> Preprocessor::dueBlocks(bool flush) const {
+  std::vector<BlockIndex> due;
+  for (const auto& [index, state] : impl_->states) {
+    if (state.final && !state.dirty) continue;
+    if (flush || impl_->isFinal(state)) {
+      due.push_back(index);
+      continue;
+    }
+    const double age = static_cast<double>(impl_->newest_ns - state.handed_on_ns) * kNanosecond;
+    const bool changed_enough =
+        static_cast<double>(state.new_voxels) >=
+        impl_->parameters.update_min_change *
+            static_cast<double>(std::max<std::size_t>(state.old_voxels, 1U));
+    if (state.dirty && changed_enough && age >= impl_->parameters.update_period) {
+      due.push_back(index);
+    }
+  }
+  return due;
+}
+
+Block Preprocessor::makeBlock(const BlockIndex& index, bool flush) const {
+  const PreprocessingParameters& p = impl_->parameters;
+  Block block;
+  block.header.stamp_ns = impl_->newest_ns;
+  block.header.frame_id = impl_->frame_id;
+  block.header.index = index;
+  block.header.tile_size = p.block_size;
+  block.header.margin = p.block_margin;
+  const auto state = impl_->states.find(index);
+  if (state != impl_->states.end()) {
+    block.header.revision = state->second.revision + 1U;
+    block.header.final = flush || impl_->isFinal(state->second);
+  }
+
+  // 1. Voxel centroids of the tile and its margin; 2. without outliers; 3. the soil; 4. taken out.
+  PointCloud cloud = impl_->map.extract(index, p.block_margin);
+  const auto keep =
+      radiusOutlierFilter(cloud, static_cast<float>(p.outlier_radius), p.outlier_min_neighbors);
+  cloud = select(std::move(cloud), keep, 1U);
+  block.ground = estimateGround(cloud, p);
+  const auto is_ground = classifyGround(cloud, block.ground, p);
+  const std::size_t total = cloud.size();
+  block.cloud = select(std::move(cloud), is_ground, 0U);
+  block.ground_points = static_cast<std::uint32_t>(total - block.cloud.size());
+  return block;
+}
+
+void Preprocessor::markHandedOn(const BlockHeader& block) {
+  const auto found = impl_->states.find(block.index);
+  if (found == impl_->states.end()) return;
+  TileState& handed = found->second;
+  const VoxelTile* tile = impl_->map.find(block.index);
+  handed.revision = block.revision;
+  handed.handed_on_ns = impl_->newest_ns;
+  handed.old_voxels = tile == nullptr ? 0U : tile->size();
+  handed.new_voxels = 0U;
+  handed.dirty = false;
+  handed.final = block.final;
+
+  for (auto state = impl_->states.begin(); state != impl_->states.end();) {
+    const bool forget = state->second.evict ? state->second.final && state->first == block.index
+                                            : impl_->mayForget(state->first, state->second);
+    if (!forget) {
+      ++state;
+      continue;
+    }
+    const VoxelTile* gone = impl_->map.find(state->first);
+    impl_->voxel_count -= gone == nullptr ? 0U : gone->size();
+    impl_->map.erase(state->first);
+    state = impl_->states.erase(state);
+  }
+}
+
+void Preprocessor::reset() {
+  impl_->clear();
+}
+
+std::size_t Preprocessor::openTiles() const {
+  return impl_->states.size();
+}
+std::size_t Preprocessor::voxels() const {
+  return impl_->voxel_count;
+}
+const PreprocessingParameters& Preprocessor::parameters() const {
+  return impl_->parameters;
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,96 @@
+#include "field_phenotyping/preprocessing/voxel_map.hpp"
+
+#include <cmath>
+#include <stdexcept>
+
+namespace field_phenotyping {
+namespace {
+
+constexpr float kHalfRange = 1048576.0F;  // 2^20 voxels on either side of the origin
+
+std::uint64_t axisKey(float coordinate, float voxel_size) {
+  const float cell = std::floor(coordinate / voxel_size);
+  if (!(std::abs(cell) < kHalfRange)) {
+    throw std::out_of_range("a point lies over 2^20 voxels from its tile's origin");
+  }
+  return static_cast<std::uint64_t>(static_cast<std::int64_t>(cell + kHalfRange));
+}
+
+}  // namespace
+
+VoxelKey voxelKey(const Eigen::Vector3f& p, float voxel_size) {
+  return axisKey(p.x(), voxel_size) << 42U | axisKey(p.y(), voxel_size) << 21U |
+         axisKey(p.z(), voxel_size);
+}
+
+bool VoxelTile::insert(const Eigen::Vector3f& p, float voxel_size, bool with_color,
+                       std::uint32_t color) {
+  const auto [entry, is_new] =
+      index_.try_emplace(voxelKey(p, voxel_size), static_cast<std::uint32_t>(voxels_.size()));
+  if (is_new) voxels_.emplace_back();
+  Voxel& voxel = voxels_[entry->second];
+  voxel.sum += p;
+  ++voxel.count;
+  if (with_color) {
+    colors_.resize(voxels_.size());
+    auto& sums = colors_[entry->second];
+    for (std::size_t channel = 0; channel < 3U; ++channel) {
+      sums[channel] += color >> (16U - 8U * channel) & 0xFFU;
+    }
+  }
+  return is_new;
+}
+
+std::uint32_t VoxelTile::color(std::size_t i) const {
+  if (i >= colors_.size()) return 0U;
+  const std::uint32_t count = voxels_[i].count;
+  return colors_[i][0] / count << 16U | colors_[i][1] / count << 8U | colors_[i][2] / count;
+}
+
+VoxelMap::VoxelMap(double tile_size, double voxel_size)
+    : tile_size_(tile_size), voxel_size_(voxel_size) {}
+
+BlockIndex VoxelMap::tileAt(double x, double y) const {
+  return {static_cast<std::int32_t>(std::floor(x / tile_size_)),
+          static_cast<std::int32_t>(std::floor(y / tile_size_))};
+}
+
+Eigen::Vector3d VoxelMap::originOf(const BlockIndex& index) const {
+  return {(index.x + 0.5) * tile_size_, (index.y + 0.5) * tile_size_, height_datum_};
+}
+
+const VoxelTile* VoxelMap::find(const BlockIndex& index) const {
+  const auto found = tiles_.find(index);
+  return found == tiles_.end() ? nullptr : &found->second;
+}
+
+void VoxelMap::erase(const BlockIndex& index) {
+  tiles_.erase(index);
+}
+
+PointCloud VoxelMap::extract(const BlockIndex& index, double margin) const {
+  PointCloud cloud;
+  cloud.origin = originOf(index);
+  const auto reach = static_cast<float>(0.5 * tile_size_ + margin);
+  const int rings = static_cast<int>(std::ceil(margin / tile_size_));
+  bool any_color = false;
+  for (int dy = -rings; dy <= rings; ++dy) {
+    for (int dx = -rings; dx <= rings; ++dx) {
+      const BlockIndex neighbor{index.x + dx, index.y + dy};
+      const VoxelTile* tile = find(neighbor);
+      if (tile == nullptr) continue;
+      any_color = any_color || tile->hasColors();
+      const Eigen::Vector3f shift = (originOf(neighbor) - cloud.origin).cast<float>();
+      for (std::size_t i = 0; i < tile->size(); ++i) {
+        const Eigen::Vector3f p = tile->centroid(i) + shift;
+        if (std::abs(p.x()) > reach || std::abs(p.y()) > reach) continue;
+        cloud.points.push_back(p);
+        cloud.colors.push_back(tile->color(i));
+      }
+    }
+  }
+  if (!any_color) cloud.colors.clear();
+  return cloud;
+}
+
+}  // namespace field_phenotyping
