@@ -1,0 +1,43 @@
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "field_phenotyping/common/point_cloud.hpp"
+#include "field_phenotyping/preprocessing/block.hpp"
+#include "field_phenotyping/segmentation/stem_axis.hpp"
+
+namespace field_phenotyping {
+
+/// How well a stem was segmented, and with which parameters (paper Eq 7-14).
+struct GrowthSummary {
+  float quality = 0.0F;  ///< Q of Eq 9, in [0, 1]
+  std::uint32_t iterations = 0U;
+  float r1 = 0.0F;  ///< growth radius [m]
+  float M = 0.0F;   ///< similarity threshold
+  float alpha = 0.0F;
+  float beta = 0.0F;
+};
+
+/// One plant of a block.
+struct Plant {
+  std::int32_t id = -1;  ///< unique in the map frame; -1 before the registry has named it
+  bool owned = true;     ///< this block reports it; if not, it is a neighbouring block's plant
+  IndexSpan points;      ///< all its points in the block's cloud; the stem's come first
+  IndexSpan stem;        ///< its stem points: a prefix of `points`
+  StemAxis axis;
+  Eigen::Vector3f base = Eigen::Vector3f::Zero();  ///< where the axis meets the soil [m], local
+  GrowthSummary growth;
+};
+
+/// A block whose points have been given to plants. `cloud` holds the block's points reordered:
+/// plant by plant, stem points first, what belongs to no plant last. Immutable once handed on.
+struct SegmentedBlock {
+  BlockHeader header;
+  PointCloud cloud;
+  GroundModel ground;
+  std::vector<Plant> plants;
+  std::vector<std::uint32_t> source_index;  ///< of each point, in the cloud of the `Block`
+};
+
+}  // namespace field_phenotyping

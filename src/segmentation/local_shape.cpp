@@ -1,0 +1,56 @@
+#include "field_phenotyping/segmentation/local_shape.hpp"
+
+#include <Eigen/Eigenvalues>
+
+#include "field_phenotyping/common/parallel.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr std::uint32_t kMinNeighbors = 5U;
+
+LocalShape shapeAt(const Eigen::Vector3f& point, const NeighborGrid& grid,
+                   const std::vector<Eigen::Vector3f>& points, float radius) {
+  // Moments about the point itself keep float precision wherever the cloud lies.
+  Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+  Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
+  LocalShape shape;
+  grid.forEachWithin(point, radius, [&](std::uint32_t i, float) {
+    const Eigen::Vector3f offset = points[i] - point;
+    sum += offset;
+    squares.noalias() += offset * offset.transpose();
+    ++shape.neighbors;
+  });
+  if (shape.neighbors < kMinNeighbors) return shape;
+  const auto count = static_cast<float>(shape.neighbors);
+  const Eigen::Vector3f mean = sum / count;
+  const Eigen::Matrix3f covariance = squares / count - mean * mean.transpose();
+
+  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3f> solver;
+  solver.computeDirect(covariance);
+  const Eigen::Vector3f values = solver.eigenvalues().cwiseMax(0.0F);
+  if (!(values[2] > 0.0F)) return shape;
+  shape.direction = solver.eigenvectors().col(2);
+  if (shape.direction.z() < 0.0F) shape.direction = -shape.direction;
+  shape.normal = solver.eigenvectors().col(0);
+  shape.linearity = (values[2] - values[1]) / values[2];
+  shape.curvature = values[0] / values.sum();
+  return shape;
+}
+
+}  // namespace
+
+std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& points,
+                                           const NeighborGrid& grid, float radius) {
+  std::vector<LocalShape> shapes(points.size());
+  constexpr std::size_t kChunk = 1024U;
+  parallelFor((points.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
+    const std::size_t end = std::min(points.size(), (chunk + 1U) * kChunk);
+    for (std::size_t i = chunk * kChunk; i < end; ++i) {
+      shapes[i] = shapeAt(points[i], grid, points, radius);
+    }
+  });
+  return shapes;
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,93 @@
+#include "field_phenotyping/segmentation/region_growth.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace field_phenotyping {
+namespace {
+
+/// w_p of Eq 1: points in dense, little curved surroundings say more about where the stem goes.
+float directionWeight(const LocalShape& shape) {
+  constexpr float kFullDensity = 20.0F;  // neighbours beyond which density adds nothing
+  const float density = std::min(static_cast<float>(shape.neighbors) / kFullDensity, 1.0F);
+  return density * (1.0F - 3.0F * shape.curvature);
+}
+
+/// Eq 1: the weighted mean direction from s_k to the candidates; zero when there are none.
+Eigen::Vector3f meanDirection(const GrowthScene& scene,
+                              const std::vector<std::uint32_t>& candidates,
+                              const Eigen::Vector3f& s_k) {
+  Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+  float total = 0.0F;
+  for (const std::uint32_t i : candidates) {
+    const Eigen::Vector3f away = scene.points[i] - s_k;
+    const float distance = away.norm();
+    if (!(distance > 0.0F)) continue;
+    const float weight = directionWeight(scene.shapes[i]);
+    sum += weight / distance * away;
+    total += weight;
+  }
+  return total > 0.0F ? Eigen::Vector3f(sum / total) : Eigen::Vector3f::Zero();
+}
+
+}  // namespace
+
+float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midline) {
+  const StemAxis::Projection at = midline.axis.project(scene.points[i]);
+  const LocalShape& shape = scene.shapes[i];
+
+  // Distance to the stem's surface, in units of what noise and out-of-roundness explain.
+  const float scale = std::hypot(midline.spread, 0.12F * at.radius);
+  const float away = (at.distance - at.radius) / scale;
+  constexpr float kSoftness = 0.125F;  // similarity 0.6 at two standard deviations
+  const float on_surface = std::exp(-kSoftness * away * away);
+
+  const float across = 1.0F - std::abs(shape.normal.dot(at.direction));
+  const float along = shape.linearity * std::abs(shape.direction.dot(at.direction)) +
+                      (1.0F - shape.linearity) * 0.5F;
+  constexpr float kSurface = 0.5F;
+  constexpr float kAcross = 0.2F;
+  constexpr float kAlong = 0.3F;
+  return on_surface * (kSurface + kAcross * across + kAlong * along);
+}
+
+GrowthRegion growRegion(const GrowthScene& scene, const Eigen::Vector3f& start,
+                        const Eigen::Vector3f& end, const Midline& midline,
+                        const SegmentationParameters& parameters) {
+  GrowthRegion region;
+  const auto r1 = static_cast<float>(parameters.r1);
+  const auto alpha = static_cast<float>(parameters.alpha);
+  const auto beta = static_cast<float>(parameters.beta);
+  const auto M = static_cast<float>(parameters.M);
+  const Eigen::Vector3f line = end - start;
+  if (!(line.squaredNorm() > 0.0F)) return region;
+
+  Eigen::Vector3f s_k = start;
+  std::vector<std::uint32_t> candidates;
+  for (int step = 0; step < parameters.max_growth_steps; ++step) {
+    // Points inside the sphere B(s_k, r1) that are like the stem are candidates and join.
+    candidates.clear();
+    scene.grid.forEachWithin(s_k, r1, [&](std::uint32_t i, float) {
+      if (similarity(scene, i, midline) >= M) candidates.push_back(i);
+    });
+    region.points.insert(region.points.end(), candidates.begin(), candidates.end());
+    ++region.steps;
+
+    // a. Growth direction (Eq 1, 2).
+    const Eigen::Vector3f to_end = end - s_k;
+    const Eigen::Vector3f v_k =
+        alpha * meanDirection(scene, candidates, s_k) + beta * to_end.normalized();
+    // b. New seed (Eq 3); the step stays within [0.5, 1] r1 so that it can neither stall nor skip.
+    const float speed = v_k.norm();
+    if (!(speed > 0.0F)) break;
+    s_k += r1 * std::clamp(speed, 0.5F, 1.0F) / speed * v_k;
+    // c. Termination (Eq 4, 5).
+    const float t_proj = (s_k - start).dot(line) / line.squaredNorm();
+    if (t_proj < 0.0F || t_proj > 1.0F) break;
+  }
+  std::sort(region.points.begin(), region.points.end());
+  region.points.erase(std::unique(region.points.begin(), region.points.end()), region.points.end());
+  return region;
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,85 @@
+#include "field_phenotyping/segmentation/stem_axis.hpp"
+
+#include <algorithm>
+#include <limits>
+#include <stdexcept>
+#include <utility>
+
+namespace field_phenotyping {
+
+StemAxis::StemAxis(std::vector<Node> nodes) : nodes_(std::move(nodes)) {
+  if (nodes_.size() < 2U) throw std::invalid_argument("StemAxis: at least two nodes are needed");
+  arc_lengths_.resize(nodes_.size());
+  for (std::size_t i = 1; i < nodes_.size(); ++i) {
+    const float step = (nodes_[i].position - nodes_[i - 1].position).norm();
+    if (!(step > 0.0F)) throw std::invalid_argument("StemAxis: two nodes in one place");
+    arc_lengths_[i] = arc_lengths_[i - 1] + step;
+  }
+}
+
+std::size_t StemAxis::segmentAt(float s) const {
+  const auto above = std::upper_bound(arc_lengths_.begin() + 1, arc_lengths_.end() - 1, s);
+  return static_cast<std::size_t>(above - arc_lengths_.begin()) - 1U;
+}
+
+Eigen::Vector3f StemAxis::directionAt(float s) const {
+  const std::size_t i = segmentAt(s);
+  return (nodes_[i + 1].position - nodes_[i].position) / (arc_lengths_[i + 1] - arc_lengths_[i]);
+}
+
+Eigen::Vector3f StemAxis::pointAt(float s) const {
+  return nodes_[segmentAt(s)].position + (s - arc_lengths_[segmentAt(s)]) * directionAt(s);
+}
+
+float StemAxis::radiusAt(float s) const {
+  const std::size_t i = segmentAt(s);
+  const float share =
+      std::clamp((s - arc_lengths_[i]) / (arc_lengths_[i + 1] - arc_lengths_[i]), 0.0F, 1.0F);
+  return (1.0F - share) * nodes_[i].radius + share * nodes_[i + 1].radius;
+}
+
+Eigen::Vector3f StemAxis::pointAtHeight(float z) const {
+  std::size_t i = 0;
+  while (i + 2 < nodes_.size() && nodes_[i + 1].position.z() < z) ++i;
+  const Eigen::Vector3f& low = nodes_[i].position;
+  const Eigen::Vector3f step = nodes_[i + 1].position - low;
+  if (!(step.z() > 0.0F)) return {low.x(), low.y(), z};
+  return low + (z - low.z()) / step.z() * step;
+}
+
+StemAxis StemAxis::below(float s) const {
+  constexpr float kLeastLength = 0.02F;
+  const float top = std::clamp(s, std::min(kLeastLength, length()), length());
+  std::vector<Node> lower;
+  for (std::size_t i = 0; i < nodes_.size() && arc_lengths_[i] < top; ++i) {
+    lower.push_back(nodes_[i]);
+  }
+  lower.push_back({pointAt(top), radiusAt(top)});
+  return StemAxis(std::move(lower));
+}
+
+StemAxis::Projection StemAxis::project(const Eigen::Vector3f& point) const {
+  Projection best;
+  best.distance = std::numeric_limits<float>::max();
+  const std::size_t last = nodes_.size() - 2;
+  for (std::size_t i = 0; i <= last; ++i) {
+    const Eigen::Vector3f& low = nodes_[i].position;
+    const float length = arc_lengths_[i + 1] - arc_lengths_[i];
+    const Eigen::Vector3f direction = (nodes_[i + 1].position - low) / length;
+    float t = direction.dot(point - low);
+    if (i > 0) t = std::max(t, 0.0F);
+    if (i < last) t = std::min(t, length);
+    const Eigen::Vector3f foot = low + t * direction;
+    const float distance = (point - foot).norm();
+    if (distance < best.distance) {
+      best.distance = distance;
+      best.arc_length = arc_lengths_[i] + t;
+      best.foot = foot;
+      best.direction = direction;
+    }
+  }
+  best.radius = radiusAt(best.arc_length);
+  return best;
+}
+
+}  // namespace field_phenotyping
