@@ -1,0 +1,54 @@
+#pragma once
+
+#include <functional>
+#include <utility>
+#include <vector>
+
+#include "field_phenotyping/completion/surface_index.hpp"
+
+namespace field_phenotyping {
+
+/// Part of the stem that may be filled.
+struct FillRange {
+  double begin = 0.0;  ///< arc length [m]
+  double end = 0.0;
+  std::vector<std::pair<double, double>> open;  ///< gaps inside it that are too long to fill
+
+  bool contains(double s) const;
+};
+
+/// The range between the first and the last measured point, without the gaps along the stem that
+/// are longer than `max_gap` [m]. Empty for no points.
+/// @param arc_lengths of the measured points [m], any order
+FillRange findFillRange(std::vector<double> arc_lengths, double max_gap);
+
+/// A hole in the measured surface (the regions m of paper Eq 22).
+struct GapRegion {
+  std::vector<SurfacePosition> cells;  ///< centres of its cells, row by row
+  double cell_angle = 0.0;             ///< width of a cell [rad]
+  double area = 0.0;                   ///< A_m [m^2]
+  double volume = 0.0;                 ///< V_m, between the axis and the surface [m^3]
+  double curvature = 0.0;              ///< mean curvature of the cross-section, kappa_m [1/m]
+};
+
+/// The stem's own density: median of k / (pi r_k^2) over the measured points [1/m^2]; 0 when there
+/// are too few of them.
+double medianDensity(const SurfaceIndex& measured, const std::vector<SurfacePosition>& positions);
+
+/// Radius of the stem at a position [m].
+using RadiusFunction = std::function<double(const SurfacePosition&)>;
+
+/// Connected parts of the unrolled stem, periodic in theta, where measured points are farther apart
+/// than `density` [1/m^2] asks for. In order of their lowest cell.
+std::vector<GapRegion> findGaps(const SurfaceIndex& measured, const FillRange& range,
+                                double density, const RadiusFunction& radius);
+
+/// How many points a region gets (Eq 22 with N_0 = density * A_0):
+///     N_m = density * A_m * (1/4 (V_m/A_m)/(V_0/A_0) + 1/2 + 1/4 kappa_m/kappa_0),
+/// the reference being a cylinder of the stem's mean radius [m].
+double expectedPoints(const GapRegion& region, double density, double mean_radius);
+
+/// Spreads round(count) positions evenly over the cells of the region.
+void sampleRegion(const GapRegion& region, double count, std::vector<SurfacePosition>& samples);
+
+}  // namespace field_phenotyping

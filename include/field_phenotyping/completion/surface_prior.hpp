@@ -1,0 +1,58 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <vector>
+
+#include "field_phenotyping/completion/stem_frame.hpp"
+#include "field_phenotyping/segmentation/stem_axis.hpp"
+
+namespace field_phenotyping {
+
+/// The cylinder that stands for the stem where nothing was measured: a curved axis, a radius
+/// profile R(s) along it and one ellipticity (paper Eq 18, read as axis and radius by RANSAC).
+///
+/// RANSAC finds a straight correction of the given axis and a linear taper; robust re-weighted
+/// least squares then lets axis and radius bend as far as the points ask for. Because this is a
+/// maximum a posteriori fit, it stays defined for one-sided and gappy stems, and its covariance
+/// tells how well the surface is known at every place. Immutable, so safe to read from any thread.
+class SurfacePrior {
+ public:
+  /// Fits the prior to the points of one stem (local frame of the block's cloud, metres).
+  /// @param axis   as segmented; may be some millimetres off
+  /// @param extend length that the frame goes on below the lowest point [m]
+  /// @return nothing when the points do not lie on anything like a stem
+  static std::optional<SurfacePrior> fit(const std::vector<Eigen::Vector3d>& points,
+                                         const StemAxis& axis, double extend);
+
+  const StemFrame& frame() const { return frame_; }
+
+  /// Radius of the stem, that is R(s) with the ellipse [m].
+  double radius(double theta, double s) const;
+  /// How far noise moves points outwards on average: sigma^2 / 2R, across a curved surface [m].
+  double noiseBias(double s) const;
+  /// Variance of the prior surface, along the radius [m^2].
+  double variance(double theta, double s) const;
+
+  double meanRadius() const { return mean_radius_; }  ///< [m]
+  double noise() const { return noise_; }  ///< robust standard deviation of the points [m]
+
+  /// Weight in [0, 1] of a point `residual` [m] off the prior surface (Tukey's biweight); 0 for
+  /// points that are not the stem's.
+  double robustWeight(double residual) const;
+
+ private:
+  SurfacePrior(StemFrame frame, int intervals);
+
+  friend class SurfacePriorFitter;
+
+  StemFrame frame_;
+  int intervals_ = 1;
+  double interval_length_ = 0.05;
+  double mean_radius_ = 0.0;
+  double noise_ = 0.0;
+  Eigen::VectorXd coefficients_;  // axis shift u, axis shift v, radius of each knot; cos 2t, sin 2t
+  Eigen::MatrixXd covariance_;    // of the coefficients
+};
+
+}  // namespace field_phenotyping

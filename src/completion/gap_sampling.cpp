@@ -1,0 +1,184 @@
+#include "field_phenotyping/completion/gap_sampling.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace field_phenotyping {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+constexpr std::size_t kDensityNeighbors = 8;
+constexpr std::size_t kDensitySamples = 400;
+// A cell is missing when no measured point is nearer to its centre than this share of the spacing:
+// in a surface seen at the target density, 4 in 5 cells have one.
+constexpr double kCoverage = 0.75;
+
+// Weights of volume, area and curvature in Eq 22; they add up to 1.
+constexpr double kVolumeWeight = 0.25;
+constexpr double kAreaWeight = 0.5;
+constexpr double kCurvatureWeight = 0.25;
+
+/// Cells of the unrolled stem, about square; odd rows are shifted by half a cell, so that the
+/// centres form an even pattern.
+class CellGrid {
+ public:
+  CellGrid(const FillRange& range, double cell, double radius)
+      : begin_(range.begin),
+        columns_(std::max(3, static_cast<int>(std::lround(2.0 * kPi * radius / cell)))),
+        rows_(std::max(1, static_cast<int>(std::lround((range.end - range.begin) / cell)))),
+        row_height_((range.end - range.begin) / rows_) {}
+
+  int rows() const { return rows_; }
+  int columns() const { return columns_; }
+  double columnAngle() const { return 2.0 * kPi / columns_; }
+  double rowHeight() const { return row_height_; }
+  std::size_t size() const {
+    return static_cast<std::size_t>(rows_) * static_cast<std::size_t>(columns_);
+  }
+  std::size_t cellAt(int row, int column) const {
+    return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) +
+           static_cast<std::size_t>((column + columns_) % columns_);
+  }
+  SurfacePosition center(std::size_t cell) const {
+    const auto row = static_cast<double>(cell / static_cast<std::size_t>(columns_));
+    const auto column = static_cast<double>(cell % static_cast<std::size_t>(columns_));
+    const double shift = std::fmod(row, 2.0) * 0.5;
+    return {-kPi + (column + 0.25 + shift) * columnAngle(), begin_ + (row + 0.5) * row_height_};
+  }
+
+ private:
+  double begin_;
+  int columns_;
+  int rows_;
+  double row_height_;
+};
+
+/// Curvature of the curve r(theta) across the axis [1/m].
+double crossSectionCurvature(const SurfacePosition& p, const RadiusFunction& radius) {
+  constexpr double kStep = 0.1;  // [rad]
+  const double r = radius(p);
+  const double before = radius({p.theta - kStep, p.s});
+  const double after = radius({p.theta + kStep, p.s});
+  const double first = (after - before) / (2.0 * kStep);
+  const double second = (after - 2.0 * r + before) / (kStep * kStep);
+  return (r * r + 2.0 * first * first - r * second) / std::pow(r * r + first * first, 1.5);
+}
+
+/// Missing cells connected to `seed`, which are unmarked; in order of the cells.
+std::vector<std::size_t> takeRegion(const CellGrid& grid, std::size_t seed,
+                                    std::vector<char>& missing) {
+  std::vector<std::size_t> region{seed};
+  missing[seed] = 0;
+  for (std::size_t next = 0; next < region.size(); ++next) {
+    const auto columns = static_cast<std::size_t>(grid.columns());
+    const auto row = static_cast<int>(region[next] / columns);
+    const auto column = static_cast<int>(region[next] % columns);
+    for (int dr = -1; dr <= 1; ++dr) {
+      if (row + dr < 0 || row + dr >= grid.rows()) continue;
+      for (int dc = -1; dc <= 1; ++dc) {
+        const std::size_t neighbor = grid.cellAt(row + dr, column + dc);
+        if (missing[neighbor] == 0) continue;
+        missing[neighbor] = 0;
+        region.push_back(neighbor);
+      }
+    }
+  }
+  std::sort(region.begin(), region.end());
+  return region;
+}
+
+GapRegion describeRegion(const CellGrid& grid, const std::vector<std::size_t>& cells,
+                         const RadiusFunction& radius) {
+  GapRegion region;
+  region.cell_angle = grid.columnAngle();
+  for (const std::size_t cell : cells) {
+    const SurfacePosition position = grid.center(cell);
+    const double r = radius(position);
+    const double area = r * grid.columnAngle() * grid.rowHeight();
+    region.cells.push_back(position);
+    region.area += area;
+    region.volume += 0.5 * r * area;
+    region.curvature += area * crossSectionCurvature(position, radius);
+  }
+  region.curvature /= region.area;
+  return region;
+}
+
+}  // namespace
+
+bool FillRange::contains(double s) const {
+  if (s < begin || s > end) return false;
+  return std::none_of(open.begin(), open.end(), [&](const std::pair<double, double>& gap) {
+    return s > gap.first && s < gap.second;
+  });
+}
+
+FillRange findFillRange(std::vector<double> arc_lengths, double max_gap) {
+  if (arc_lengths.empty()) return {};
+  std::sort(arc_lengths.begin(), arc_lengths.end());
+  FillRange range;
+  range.begin = arc_lengths.front();
+  range.end = arc_lengths.back();
+  for (std::size_t i = 1; i < arc_lengths.size(); ++i) {
+    if (arc_lengths[i] - arc_lengths[i - 1] > max_gap) {
+      range.open.emplace_back(arc_lengths[i - 1], arc_lengths[i]);
+    }
+  }
+  return range;
+}
+
+double medianDensity(const SurfaceIndex& measured, const std::vector<SurfacePosition>& positions) {
+  if (positions.size() <= kDensityNeighbors) return 0.0;
+  const std::size_t stride = 1 + positions.size() / kDensitySamples;
+  std::vector<double> densities;
+  for (std::size_t i = 0; i < positions.size(); i += stride) {
+    const auto nearest = measured.nearest<kDensityNeighbors + 1>(positions[i]);  // and itself
+    const double squared_reach = nearest.squared_distance[kDensityNeighbors];
+    densities.push_back(static_cast<double>(kDensityNeighbors) /
+                        (kPi * std::max(squared_reach, 1e-12)));
+  }
+  const auto middle = densities.begin() + static_cast<std::ptrdiff_t>(densities.size() / 2);
+  std::nth_element(densities.begin(), middle, densities.end());
+  return *middle;
+}
+
+std::vector<GapRegion> findGaps(const SurfaceIndex& measured, const FillRange& range,
+                                double density, const RadiusFunction& radius) {
+  if (!(density > 0.0) || !(range.end > range.begin)) return {};
+  const double spacing = 1.0 / std::sqrt(density);
+  const CellGrid grid(range, spacing, measured.radius());
+  std::vector<char> missing(grid.size(), 0);
+  for (std::size_t cell = 0; cell < grid.size(); ++cell) {
+    const SurfacePosition center = grid.center(cell);
+    missing[cell] = range.contains(center.s) &&
+                    measured.nearestWithin<1>(center, kCoverage * spacing).count == 0;
+  }
+  std::vector<GapRegion> regions;
+  for (std::size_t cell = 0; cell < grid.size(); ++cell) {
+    if (missing[cell] == 0) continue;
+    regions.push_back(describeRegion(grid, takeRegion(grid, cell, missing), radius));
+  }
+  return regions;
+}
+
+double expectedPoints(const GapRegion& region, double density, double mean_radius) {
+  const double relative_volume = region.volume / region.area / (0.5 * mean_radius);
+  const double relative_curvature = region.curvature * mean_radius;
+  return density * region.area *
+         (kVolumeWeight * relative_volume + kAreaWeight + kCurvatureWeight * relative_curvature);
+}
+
+void sampleRegion(const GapRegion& region, double count, std::vector<SurfacePosition>& samples) {
+  if (region.cells.empty() || !(count > 0.0)) return;
+  const auto number = std::max(1L, std::lround(count));
+  const double cells = static_cast<double>(region.cells.size());
+  for (long i = 0; i < number; ++i) {
+    const double place = (static_cast<double>(i) + 0.5) * cells / static_cast<double>(number);
+    const auto cell = std::min(static_cast<std::size_t>(place), region.cells.size() - 1);
+    SurfacePosition position = region.cells[cell];
+    position.theta += (place - static_cast<double>(cell) - 0.5) * region.cell_angle;
+    samples.push_back(position);
+  }
+}
+
+}  // namespace field_phenotyping

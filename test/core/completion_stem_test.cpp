@@ -1,0 +1,492 @@
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <ctime>
+#include <iostream>
+#include <memory>
+#include <random>
+#include <vector>
+
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/completion/completion.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+using Eigen::Vector3d;
+using Eigen::Vector3f;
+
+constexpr double kPi = 3.14159265358979323846;
+
+/// A tapering stem of elliptic cross-section whose axis is an arc in the x-z plane, standing on
+/// z = 0.
+struct TrueStem {
+  double length = 1.2;        // [m]
+  double bend = 0.1;          // total turn of the axis [rad]
+  double radius = 0.0125;     // at the base, of the circle with the same area [m]
+  double taper = 0.003;       // loss of radius per metre
+  double ellipticity = 0.06;  // major axis radius * (1 + e), minor axis radius * (1 - e)
+  double orientation = 0.4;   // of the major axis [rad]
+  double lean = 0.05;         // at the base [rad]
+
+  double angleAt(double s) const { return lean + bend * s / length; }
+  Vector3d tangentAt(double s) const { return {std::sin(angleAt(s)), 0.0, std::cos(angleAt(s))}; }
+  Vector3d uAt(double s) const { return {std::cos(angleAt(s)), 0.0, -std::sin(angleAt(s))}; }
+  Vector3d axisAt(double s) const {
+    const double k = bend / length;
+    if (std::abs(k) < 1e-9) return s * tangentAt(0.0);
+    return {(std::cos(lean) - std::cos(angleAt(s))) / k, 0.0,
+            (std::sin(angleAt(s)) - std::sin(lean)) / k};
+  }
+  double majorAt(double s) const { return (radius - taper * s) * (1.0 + ellipticity); }
+  double minorAt(double s) const { return (radius - taper * s) * (1.0 - ellipticity); }
+  Vector3d surfaceAt(double phi, double s) const {
+    const double x = majorAt(s) * std::cos(phi);
+    const double y = minorAt(s) * std::sin(phi);
+    const double c = std::cos(orientation);
+    const double d = std::sin(orientation);
+    return axisAt(s) + (c * x - d * y) * uAt(s) + (d * x + c * y) * Vector3d::UnitY();
+  }
+
+  double arcLengthOf(const Vector3d& p) const {
+    double s = p.z();
+    for (int i = 0; i < 20; ++i) s += (p - axisAt(s)).dot(tangentAt(s));
+    return s;
+  }
+
+  /// Distance to the surface: the nearest point by search, refined.
+  double distance(const Vector3d& p) const {
+    const double s = arcLengthOf(p);
+    const auto squared = [&](double phi) { return (p - surfaceAt(phi, s)).squaredNorm(); };
+    double best = 0.0;
+    for (int i = 1; i < 90; ++i) {
+      const double phi = 2.0 * kPi * i / 90;
+      if (squared(phi) < squared(best)) best = phi;
+    }
+    double low = best - 0.08, high = best + 0.08;
+    for (int i = 0; i < 40; ++i) {
+      const double third = (high - low) / 3.0;
+      (squared(low + third) < squared(high - third) ? high : low) +=
+          squared(low + third) < squared(high - third) ? -third : third;
+    }
+    return std::sqrt(squared(0.5 * (low + high)));
+  }
+};
+
+/// What was seen of a stem.
+struct Scene {
+  TrueStem stem;
+  std::size_t points = 600;
+  double noise = 0.002;                         // [m] in each direction
+  std::vector<std::pair<double, double>> gaps;  // arc lengths without points
+  std::pair<double, double> shadow{0.0, 0.0};   // arc lengths seen from one side only
+  double leaf_share = 0.0;                      // of points on a leaf that leaves the stem
+  double axis_error = 0.003;                    // [m] of the segmented axis
+  double radius_error = 0.15;                   // share, of the segmented radius
+  Vector3d origin = Vector3d::Zero();
+  bool colors = false;
+  unsigned seed = 1;
+};
+
+bool isHidden(const Scene& scene, double phi, double s) {
+  for (const auto& gap : scene.gaps) {
+    if (s > gap.first && s < gap.second) return true;
+  }
+  return s > scene.shadow.first && s < scene.shadow.second && std::sin(phi + 0.7) < 0.0;
+}
+
+StemAxis segmentedAxis(const Scene& scene, std::mt19937& random) {
+  std::normal_distribution<double> error(0.0, scene.axis_error);
+  std::vector<StemAxis::Node> nodes;
+  const int steps = static_cast<int>(scene.stem.length / 0.06);
+  const Vector3d offset(error(random), error(random), 0.0);
+  for (int i = 0; i <= steps; ++i) {
+    const double s = scene.stem.length * i / steps;
+    const Vector3d own(0.5 * error(random), 0.5 * error(random), 0.0);
+    nodes.push_back({(scene.stem.axisAt(s) + offset + own).cast<float>(),
+                     static_cast<float>((1.0 + scene.radius_error) * scene.stem.radius)});
+  }
+  return StemAxis(nodes);
+}
+
+GroundModel flatGround(float height) {
+  return GroundModel({-5.0F, -5.0F}, 10.0F, 2, 2,
+                     std::vector<GroundModel::Node>(4, {height, 0.005F, 1U}), true);
+}
+
+std::shared_ptr<SegmentedBlock> makeBlock(const Scene& scene) {
+  std::mt19937 random(scene.seed);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::normal_distribution<double> noise(0.0, 1.0);
+  auto block = std::make_shared<SegmentedBlock>();
+  block->ground = flatGround(0.0F);
+  block->cloud.origin = scene.origin;
+  while (block->cloud.size() < scene.points) {
+    const double phi = 2.0 * kPi * uniform(random);
+    const double s = scene.stem.length * uniform(random);
+    const Vector3d error = scene.noise * Vector3d(noise(random), noise(random), noise(random));
+    Vector3d point = scene.stem.surfaceAt(phi, s) + error;
+    if (uniform(random) < scene.leaf_share) {
+      const double along = 0.015 + 0.05 * uniform(random);
+      point = scene.stem.axisAt(s) + along * Vector3d(0.8, 0.5, 0.6);
+    } else if (isHidden(scene, phi, s)) {
+      continue;
+    }
+    block->cloud.points.push_back(point.cast<float>());
+    if (scene.colors)
+      block->cloud.colors.push_back(s < 0.5 * scene.stem.length ? 0x204060U : 0x60C020U);
+  }
+  Plant plant;
+  plant.id = 7;
+  plant.axis = segmentedAxis(scene, random);
+  plant.stem = {0U, static_cast<std::uint32_t>(scene.points)};
+  plant.points = plant.stem;
+  block->plants.push_back(plant);
+  return block;
+}
+
+struct Quality {
+  std::size_t points = 0;
+  double rmse = 0.0;      // of the synthetic points to the true surface [m]
+  double worst = 0.0;     // [m]
+  double coverage = 0.0;  // share within 1.96 standard deviations
+};
+
+Quality judge(const TrueStem& stem, const CompletedBlock& block) {
+  Quality quality;
+  quality.points = block.synthetic.size();
+  double sum = 0.0;
+  std::size_t covered = 0;
+  for (std::size_t i = 0; i < quality.points; ++i) {
+    const double distance = stem.distance(block.synthetic.points[i].cast<double>());
+    sum += distance * distance;
+    quality.worst = std::max(quality.worst, distance);
+    if (distance <= 1.96 * static_cast<double>(block.synthetic_stddev[i])) ++covered;
+  }
+  const auto count = static_cast<double>(std::max<std::size_t>(quality.points, 1));
+  quality.rmse = std::sqrt(sum / count);
+  quality.coverage = static_cast<double>(covered) / count;
+  return quality;
+}
+
+struct Case {
+  const char* name;
+  std::vector<std::pair<double, double>> gaps;
+  std::pair<double, double> shadow{0.0, 0.0};
+  double leaf_share = 0.0;
+  double limit = 1.0e-3;  // of the RMSE over all seeds [m]
+};
+
+const std::vector<Case>& gapCases() {
+  static const std::vector<Case> cases{
+      {"gap 5 cm", {{0.5, 0.55}}},
+      {"gap 10 cm", {{0.5, 0.6}}},
+      {"gap 20 cm", {{0.45, 0.65}}},
+      {"shadow 40 cm", {}, {0.4, 0.8}},
+      {"one side only", {}, {-1.0, 9.0}, 0.0, 2.4e-3},
+      {"gap 20 cm, shadow", {{0.3, 0.5}}, {0.7, 1.0}},
+      {"gap 20 cm, 15 % leaf", {{0.45, 0.65}}, {0.0, 0.0}, 0.15, 1.3e-3}};
+  return cases;
+}
+
+TEST(CompletionStem, FillsGapsOnTheTrueSurface) {
+  constexpr unsigned kSeeds = 20;
+  for (const Case& gap_case : gapCases()) {
+    for (const double noise : {0.0, 0.001, 0.003}) {
+      double squares = 0.0, coverage = 0.0, worst_rmse = 0.0;
+      std::size_t points = 0;
+      for (unsigned seed = 1; seed <= kSeeds; ++seed) {
+        Scene scene;
+        scene.gaps = gap_case.gaps;
+        scene.shadow = gap_case.shadow;
+        scene.leaf_share = gap_case.leaf_share;
+        scene.noise = noise;
+        scene.seed = seed;
+        const Quality quality = judge(scene.stem, completeBlock(makeBlock(scene), {}));
+        EXPECT_GT(quality.points, 10U) << gap_case.name;
+        squares += quality.rmse * quality.rmse * static_cast<double>(quality.points);
+        coverage += quality.coverage * static_cast<double>(quality.points);
+        points += quality.points;
+        worst_rmse = std::max(worst_rmse, quality.rmse);
+      }
+      const double rmse = std::sqrt(squares / static_cast<double>(points));
+      coverage /= static_cast<double>(points);
+      std::cout << gap_case.name << ", noise " << 1e3 * noise << " mm: RMSE " << 1e3 * rmse
+                << " mm (worst seed " << 1e3 * worst_rmse << "), coverage " << coverage << ", "
+                << points / kSeeds << " points" << std::endl;
+      EXPECT_LT(rmse, gap_case.limit) << gap_case.name << ", noise " << noise;
+      EXPECT_LT(worst_rmse, 2.0 * gap_case.limit) << gap_case.name << ", noise " << noise;
+      EXPECT_GT(coverage, 0.85) << gap_case.name << ", noise " << noise;
+    }
+  }
+}
+
+TEST(CompletionStem, FollowsABentStem) {
+  for (unsigned seed = 1; seed <= 5; ++seed) {
+    Scene scene;
+    scene.stem.bend = 20.0 * kPi / 180.0;
+    scene.gaps = {{0.5, 0.7}};
+    scene.noise = 0.003;
+    scene.axis_error = 0.005;
+    scene.seed = seed;
+    const Quality quality = judge(scene.stem, completeBlock(makeBlock(scene), {}));
+    std::cout << "bent by 20 deg: RMSE " << 1e3 * quality.rmse << " mm" << std::endl;
+    EXPECT_GT(quality.points, 50U);
+    EXPECT_LT(quality.rmse, 1.5e-3);
+  }
+}
+
+TEST(CompletionStem, FillsTheGapAtTheWantedDensity) {
+  Scene scene;
+  scene.gaps = {{0.4, 0.6}};
+  scene.noise = 0.001;
+  CompletionParameters parameters;
+  parameters.density = 20000.0;
+  const CompletedBlock block = completeBlock(makeBlock(scene), parameters);
+  const auto inside = std::count_if(block.synthetic.points.begin(), block.synthetic.points.end(),
+                                    [&](const Vector3f& p) {
+                                      const double s = scene.stem.arcLengthOf(p.cast<double>());
+                                      return s > 0.42 && s < 0.58;
+                                    });
+  const double radius = scene.stem.radius - scene.stem.taper * 0.5;
+  EXPECT_NEAR(static_cast<double>(inside), 20000.0 * 2.0 * kPi * radius * 0.16, 30.0);
+}
+
+TEST(CompletionStem, LeavesLongGapsOpen) {
+  for (const double max_gap : {0.0, 0.1, 0.25}) {
+    Scene scene;
+    scene.points = 2000;
+    scene.gaps = {{0.2, 0.28}, {0.5, 0.8}};
+    scene.shadow = {-1.0, 0.4};
+    CompletionParameters parameters;
+    parameters.max_gap = max_gap;
+    const CompletedBlock block = completeBlock(makeBlock(scene), parameters);
+    std::size_t in_short_gap = 0;
+    for (const Vector3f& point : block.synthetic.points) {
+      const double s = scene.stem.arcLengthOf(point.cast<double>());
+      EXPECT_FALSE(s > 0.51 && s < 0.79) << "arc length " << s << ", max_gap " << max_gap;
+      if (s > 0.21 && s < 0.27) ++in_short_gap;
+    }
+    EXPECT_EQ(in_short_gap > 10U, max_gap >= 0.1) << "max_gap " << max_gap;
+  }
+}
+
+TEST(CompletionStem, ReachesTheSoilAndNeverGoesBelow) {
+  Scene scene;
+  scene.gaps = {{-1.0, 0.1}};
+  auto block = makeBlock(scene);
+  const auto lowest = [](const CompletedBlock& completed) {
+    float z = 1e9F;
+    for (const Vector3f& point : completed.synthetic.points) z = std::min(z, point.z());
+    return z;
+  };
+  const float on_soil = lowest(completeBlock(block, {}));
+  EXPECT_GE(on_soil, 0.0F);
+  EXPECT_LT(on_soil, 0.02F);
+
+  block->ground = flatGround(0.5F);  // as if the soil reached up the stem
+  EXPECT_GE(lowest(completeBlock(block, {})), 0.5F);
+
+  block->ground = flatGround(-1.0F);  // soil out of reach: nothing says how far the stem goes on
+  EXPECT_GT(lowest(completeBlock(block, {})), 0.08F);
+  block->ground = GroundModel();
+  EXPECT_GT(lowest(completeBlock(block, {})), 0.08F);
+}
+
+TEST(CompletionStem, StddevGrowsIntoTheGap) {
+  Scene scene;
+  scene.gaps = {{0.4, 0.6}};
+  const CompletedBlock block = completeBlock(makeBlock(scene), {});
+  double edge = 0.0, middle = 0.0;
+  std::size_t edge_count = 0, middle_count = 0;
+  for (std::size_t i = 0; i < block.synthetic.size(); ++i) {
+    const double s = scene.stem.arcLengthOf(block.synthetic.points[i].cast<double>());
+    const double from_middle = std::abs(s - 0.5);
+    const auto stddev = static_cast<double>(block.synthetic_stddev[i]);
+    EXPECT_GT(stddev, 0.0);
+    if (from_middle < 0.03) middle += stddev, ++middle_count;
+    if (from_middle > 0.08 && from_middle < 0.1) edge += stddev, ++edge_count;
+  }
+  ASSERT_GT(edge_count, 3U);
+  ASSERT_GT(middle_count, 3U);
+  EXPECT_GT(middle / static_cast<double>(middle_count),
+            1.2 * edge / static_cast<double>(edge_count));
+}
+
+TEST(CompletionStem, TakesColoursFromTheNeighbours) {
+  Scene scene;
+  scene.gaps = {{0.2, 0.3}, {0.9, 1.0}, {0.55, 0.65}};
+  scene.colors = true;
+  const CompletedBlock block = completeBlock(makeBlock(scene), {});
+  ASSERT_EQ(block.synthetic.colors.size(), block.synthetic.size());
+  std::size_t mixed = 0;
+  for (std::size_t i = 0; i < block.synthetic.size(); ++i) {
+    const double s = scene.stem.arcLengthOf(block.synthetic.points[i].cast<double>());
+    const std::uint32_t color = block.synthetic.colors[i];
+    EXPECT_TRUE(s > 0.4 || color == 0x204060U);
+    EXPECT_TRUE(s < 0.8 || color == 0x60C020U);
+    mixed += color != 0x204060U && color != 0x60C020U ? 1U : 0U;
+    EXPECT_GE(color >> 16U, 0x20U);
+    EXPECT_LE(color >> 16U, 0x60U);
+  }
+  EXPECT_GT(mixed, 0U);
+  scene.colors = false;
+  EXPECT_FALSE(completeBlock(makeBlock(scene), {}).synthetic.hasColors());
+}
+
+TEST(CompletionStem, SharesTheMeasuredPointsUntouched) {
+  Scene scene;
+  scene.gaps = {{0.4, 0.6}};
+  const auto block = makeBlock(scene);
+  const std::vector<Vector3f> before = block->cloud.points;
+  const CompletedBlock completed = completeBlock(block, {});
+  EXPECT_EQ(completed.segmented.get(), block.get());
+  EXPECT_EQ(completed.segmented->cloud.points.data(), block->cloud.points.data());
+  EXPECT_EQ(block->cloud.points, before);
+}
+
+TEST(CompletionStem, RepeatsBitForBitOnAnyNumberOfThreads) {
+  Scene scene;
+  scene.gaps = {{0.4, 0.6}};
+  scene.leaf_share = 0.1;
+  auto block = makeBlock(scene);
+  for (int i = 0; i < 7; ++i) block->plants.push_back(block->plants.front());
+  const CompletedBlock first = completeBlock(block, {});
+  const ThreadLimit one_thread(1);
+  const CompletedBlock second = completeBlock(block, {});
+  ASSERT_EQ(first.synthetic.size(), second.synthetic.size());
+  ASSERT_GT(first.synthetic.size(), 0U);
+  EXPECT_EQ(first.synthetic.points, second.synthetic.points);
+  EXPECT_EQ(first.synthetic_stddev, second.synthetic_stddev);
+}
+
+TEST(CompletionStem, DoesNotDependOnTheOrigin) {
+  Scene near, far;
+  near.gaps = far.gaps = {{0.4, 0.6}};
+  far.origin = {500123.25, 5300456.5, 90.0};
+  const CompletedBlock a = completeBlock(makeBlock(near), {});
+  const CompletedBlock b = completeBlock(makeBlock(far), {});
+  EXPECT_EQ(b.synthetic.origin, far.origin);
+  EXPECT_EQ(a.synthetic.points, b.synthetic.points);
+}
+
+TEST(CompletionStem, SkipsPlantsThatAnotherBlockReports) {
+  Scene scene;
+  scene.gaps = {{0.4, 0.6}};
+  auto block = makeBlock(scene);
+  block->plants.push_back(block->plants.front());
+  block->plants.push_back(block->plants.front());
+  block->plants[1].owned = false;
+  const CompletedBlock completed = completeBlock(block, {});
+  ASSERT_EQ(completed.synthetic_span.size(), 3U);
+  EXPECT_FALSE(completed.synthetic_span[0].empty());
+  EXPECT_TRUE(completed.synthetic_span[1].empty());
+  EXPECT_EQ(completed.synthetic_span[2].size(), completed.synthetic_span[0].size());
+  EXPECT_EQ(completed.synthetic_span[2].end, completed.synthetic.size());
+  EXPECT_EQ(completed.synthetic_stddev.size(), completed.synthetic.size());
+}
+
+TEST(CompletionStem, AddsNothingWhenDisabled) {
+  Scene scene;
+  scene.gaps = {{0.4, 0.6}};
+  CompletionParameters parameters;
+  parameters.enabled = false;
+  const CompletedBlock completed = completeBlock(makeBlock(scene), parameters);
+  EXPECT_TRUE(completed.synthetic.empty());
+  EXPECT_TRUE(completed.synthetic_stddev.empty());
+  ASSERT_EQ(completed.synthetic_span.size(), 1U);
+  EXPECT_TRUE(completed.synthetic_span[0].empty());
+}
+
+/// Odd stems: whatever comes out must be finite, above the soil and within the plant.
+void expectSane(const CompletedBlock& block) {
+  ASSERT_EQ(block.synthetic_span.size(), block.segmented->plants.size());
+  ASSERT_EQ(block.synthetic_stddev.size(), block.synthetic.size());
+  for (std::size_t i = 0; i < block.synthetic.size(); ++i) {
+    const Vector3f& point = block.synthetic.points[i];
+    EXPECT_TRUE(point.allFinite());
+    EXPECT_GE(point.z(), 0.0F);
+    EXPECT_LT(point.norm(), 3.0F);
+    EXPECT_TRUE(std::isfinite(block.synthetic_stddev[i]));
+  }
+}
+
+TEST(CompletionStem, SurvivesFewPoints) {
+  for (const std::size_t points : {0U, 1U, 3U, 4U, 5U, 8U, 12U, 20U, 40U}) {
+    for (unsigned seed = 1; seed <= 20; ++seed) {
+      Scene scene;
+      scene.points = points;
+      scene.seed = seed;
+      CompletionParameters parameters;
+      const CompletedBlock by_default = completeBlock(makeBlock(scene), parameters);
+      expectSane(by_default);
+      EXPECT_TRUE(points >= 12U || by_default.synthetic.empty());
+      parameters.min_points = 4;
+      parameters.density = 5000.0;
+      expectSane(completeBlock(makeBlock(scene), parameters));
+    }
+  }
+}
+
+TEST(CompletionStem, SurvivesDegenerateStems) {
+  const auto block = makeBlock({});
+  CompletionParameters parameters;
+  parameters.min_points = 4;
+  const auto completeMoved = [&](auto&& move) {
+    auto moved = std::make_shared<SegmentedBlock>(*block);
+    for (std::size_t i = 0; i < moved->cloud.size(); ++i) {
+      moved->cloud.points[i] = move(moved->cloud.points[i], i);
+    }
+    expectSane(completeBlock(moved, parameters));
+  };
+  completeMoved([](const Vector3f&, std::size_t) { return Vector3f(0.01F, 0.0F, 0.3F); });
+  completeMoved([](const Vector3f& p, std::size_t) { return Vector3f(0.01F, 0.0F, p.z()); });
+  completeMoved([](const Vector3f& p, std::size_t) { return Vector3f(p.x(), p.y(), 0.3F); });
+  completeMoved(
+      [](const Vector3f& p, std::size_t) { return Vector3f(20.0F * p.x(), p.y(), p.z()); });
+  completeMoved([](const Vector3f& p, std::size_t i) {  // a fork, its branches 15 deg apart
+    const float rise = std::max(p.z() - 0.5F, 0.0F);
+    return Vector3f(p + (i % 2 == 0 ? 0.13F : -0.13F) * rise * Vector3f::UnitY());
+  });
+
+  auto without_axis = std::make_shared<SegmentedBlock>(*block);
+  without_axis->plants[0].axis = StemAxis();
+  EXPECT_TRUE(completeBlock(without_axis, {}).synthetic.empty());
+  EXPECT_TRUE(completeBlock(std::make_shared<SegmentedBlock>(), {}).synthetic.empty());
+}
+
+TEST(CompletionStem, BoundsWhatItMakesUp) {
+  Scene scene;
+  scene.gaps = {{0.4, 0.6}};
+  CompletionParameters parameters;
+  parameters.density = 1e7;
+  const CompletedBlock completed = completeBlock(makeBlock(scene), parameters);
+  EXPECT_LT(completed.synthetic.size(), 22000U);
+  EXPECT_GT(completed.synthetic.size(), 10000U);
+}
+
+TEST(CompletionStem, PrintsItsTime) {
+  for (const std::size_t points : {std::size_t{600}, std::size_t{10000}, std::size_t{100000}}) {
+    Scene scene;
+    scene.points = points;
+    scene.gaps = {{0.45, 0.65}};
+    scene.shadow = {0.7, 1.0};
+    const auto block = makeBlock(scene);
+    std::vector<double> times;
+    std::size_t made = 0;
+    for (int i = 0; i < 15; ++i) {
+      const std::clock_t start = std::clock();
+      made = completeBlock(block, {}).synthetic.size();
+      times.push_back(static_cast<double>(std::clock() - start) / CLOCKS_PER_SEC);
+    }
+    std::sort(times.begin(), times.end());
+    std::cout << points << " points: " << 1e3 * times[7] << " ms of one core, " << made << " made"
+              << std::endl;
+    EXPECT_GT(made, 100U);
+  }
+}
+
+}  // namespace
+}  // namespace field_phenotyping

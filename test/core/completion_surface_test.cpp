@@ -1,0 +1,295 @@
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include "field_phenotyping/completion/gap_sampling.hpp"
+#include "field_phenotyping/completion/rbf_surface.hpp"
+#include "field_phenotyping/completion/stem_frame.hpp"
+#include "field_phenotyping/completion/surface_index.hpp"
+#include "field_phenotyping/completion/surface_prior.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr double kPi = 3.14159265358979323846;
+constexpr double kRadius = 0.012;  // [m]
+
+std::vector<Vector3d> helixCurve() {
+  std::vector<Vector3d> curve;
+  for (double t = 0.0; t < 1.0; t += 0.01) {
+    curve.emplace_back(0.1 * std::cos(3.0 * t), 0.1 * std::sin(3.0 * t), t);
+  }
+  return curve;
+}
+
+TEST(CompletionSurface, FrameRollsBackWhatItUnrolled) {
+  const StemFrame frame(helixCurve());
+  std::mt19937 random(3);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  for (int i = 0; i < 2000; ++i) {
+    const UnrolledPoint point{kPi * (2.0 * uniform(random) - 1.0),
+                              -0.1 + (frame.length() + 0.2) * uniform(random),
+                              0.03 * uniform(random)};
+    const Vector3d rolled = frame.roll(point);
+    const UnrolledPoint again = frame.unroll(rolled);
+    EXPECT_NEAR(again.s, point.s, 1e-8);
+    EXPECT_NEAR(again.r, point.r, 1e-8);
+    EXPECT_LT((frame.roll(again) - rolled).norm(), 1e-9);
+  }
+}
+
+TEST(CompletionSurface, FrameStaysOrthonormalAndDoesNotTwist) {
+  const StemFrame frame(helixCurve());
+  for (double s = -0.05; s < frame.length() + 0.05; s += 0.003) {
+    const StemFrame::Frame here = frame.at(s);
+    const StemFrame::Frame next = frame.at(s + 1e-4);
+    EXPECT_NEAR(here.u.norm(), 1.0, 1e-9);
+    EXPECT_NEAR(here.u.dot(here.tangent), 0.0, 1e-9);
+    EXPECT_NEAR((here.u.cross(here.v) - here.tangent).norm(), 0.0, 1e-9);
+    // A rotation-minimising frame turns about no more than the tangent does.
+    EXPECT_NEAR((next.u - here.u).dot(here.v) / 1e-4, 0.0, 0.02);
+  }
+}
+
+TEST(CompletionSurface, FrameRejectsWhatIsNoCurve) {
+  EXPECT_THROW(StemFrame({Vector3d::Zero()}), std::invalid_argument);
+  EXPECT_THROW(StemFrame({Vector3d::Zero(), Vector3d::Zero()}), std::invalid_argument);
+}
+
+std::vector<SurfacePosition> randomPositions(std::size_t count, unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::vector<SurfacePosition> positions;
+  for (std::size_t i = 0; i < count; ++i) {
+    const double theta = kPi * (2.0 * uniform(random) - 1.0);
+    positions.push_back({theta, uniform(random)});
+  }
+  return positions;
+}
+
+TEST(CompletionSurface, IndexAgreesWithBruteForce) {
+  const std::vector<SurfacePosition> points = randomPositions(500, 1);
+  const SurfaceIndex index(points, kRadius);
+  for (const SurfacePosition& query : randomPositions(300, 2)) {
+    std::vector<double> distances;
+    for (const SurfacePosition& point : points) {
+      distances.push_back((index.embed(point) - index.embed(query)).squaredNorm());
+    }
+    const auto nearest = index.nearest<5>(query);
+    ASSERT_EQ(nearest.count, 5U);
+    for (std::size_t k = 0; k < 5; ++k) {
+      EXPECT_DOUBLE_EQ(distances[nearest.index[k]], nearest.squared_distance[k]);
+    }
+    constexpr double kReach = 0.02;
+    const auto within = std::count_if(distances.begin(), distances.end(),
+                                      [](double d) { return d <= kReach * kReach; });
+    long visited = 0;
+    index.forEachWithin(query, kReach, [&](std::uint32_t, double) { ++visited; });
+    EXPECT_EQ(visited, within);
+    EXPECT_EQ(index.nearestWithin<1>(query, kReach).count, within > 0 ? 1U : 0U);
+    std::sort(distances.begin(), distances.end());
+    for (std::size_t k = 0; k < 5; ++k) {
+      EXPECT_DOUBLE_EQ(nearest.squared_distance[k], distances[k]);
+    }
+  }
+}
+
+TEST(CompletionSurface, IndexIsPeriodic) {
+  const SurfaceIndex index({{kPi - 0.01, 0.5}, {0.0, 0.5}}, kRadius);
+  const auto nearest = index.nearest<3>({-kPi + 0.01, 0.5});
+  EXPECT_EQ(nearest.count, 2U);
+  EXPECT_EQ(nearest.index[0], 0U);
+  EXPECT_NEAR(std::sqrt(nearest.squared_distance[0]), 0.02 * kRadius, 1e-6);
+  EXPECT_EQ(SurfaceIndex().nearest<3>({0.0, 0.0}).count, 0U);
+}
+
+double wavySurface(const SurfacePosition& p) {
+  return 0.001 * std::cos(2.0 * p.theta + 0.5) + 0.0005 * std::sin(30.0 * p.s);
+}
+
+std::vector<SurfaceSample> sampleWaves(std::size_t count, unsigned seed) {
+  std::vector<SurfaceSample> samples;
+  for (const SurfacePosition& p : randomPositions(count, seed)) {
+    samples.push_back({{p.theta, 0.3 * p.s}, wavySurface({p.theta, 0.3 * p.s}), 1.0});
+  }
+  return samples;
+}
+
+TEST(CompletionSurface, RbfInterpolatesASmoothSurface) {
+  for (unsigned seed = 1; seed <= 10; ++seed) {
+    const std::vector<SurfaceSample> samples = sampleWaves(200, seed);
+    const RbfSurface surface(samples, kRadius, {2.0, 1e-6, 0.0});
+    const auto rmsError = [&](const std::vector<SurfaceSample>& at) {
+      double squares = 0.0;
+      for (const SurfaceSample& sample : at) {
+        squares += std::pow(surface.valueAt(sample.position) - sample.value, 2);
+      }
+      return std::sqrt(squares / static_cast<double>(at.size()));
+    };
+    // The surface itself varies by 8e-4.
+    EXPECT_LT(rmsError(samples), 1e-6);
+    EXPECT_LT(rmsError(sampleWaves(200, 100 + seed)), 2.5e-4);
+  }
+}
+
+TEST(CompletionSurface, RbfIsPeriodicAndContinuous) {
+  const RbfSurface surface(sampleWaves(150, 7), kRadius, {1.0, 1e-3, 0.0005});
+  for (double s = -0.05; s < 0.35; s += 0.01) {
+    EXPECT_NEAR(surface.valueAt({kPi - 1e-7, s}), surface.valueAt({-kPi + 1e-7, s}), 1e-9);
+    EXPECT_NEAR(surface.valueAt({1.0, s}), surface.valueAt({1.0 + 2.0 * kPi, s}), 1e-12);
+    EXPECT_NEAR(surface.valueAt({1.0, s}), surface.valueAt({1.0 + 1e-6, s}), 1e-7);
+  }
+}
+
+TEST(CompletionSurface, RbfForgetsFarAwayAndSmoothsNoise) {
+  const RbfSurface surface(sampleWaves(150, 8), kRadius, {});
+  EXPECT_EQ(surface.valueAt({0.0, 3.0}), 0.0);
+  EXPECT_EQ(RbfSurface({}, kRadius, {}).valueAt({0.0, 0.0}), 0.0);
+
+  std::mt19937 random(1);
+  std::normal_distribution<double> noise(0.0, 0.002);
+  std::vector<SurfaceSample> samples = sampleWaves(200, 9);
+  double plain = 0.0, smoothed = 0.0;
+  for (SurfaceSample& sample : samples) sample.value = noise(random);
+  const RbfSurface on_noise(samples, kRadius, {1.0, 1e-3, 0.002});
+  for (const SurfaceSample& sample : samples) {
+    plain += sample.value * sample.value;
+    smoothed += std::pow(on_noise.valueAt(sample.position), 2);
+  }
+  EXPECT_LT(smoothed, 0.1 * plain);
+}
+
+TEST(CompletionSurface, RbfSurvivesCoincidentCentres) {
+  std::vector<SurfaceSample> samples(50, SurfaceSample{{0.3, 0.1}, 0.001, 1.0});
+  EXPECT_NEAR(RbfSurface(samples, kRadius, {}).valueAt({0.3, 0.1}), 0.001, 2e-4);
+  samples.insert(samples.end(), 50, SurfaceSample{{0.3, 0.1}, -0.001, 1.0});
+  EXPECT_TRUE(std::isfinite(RbfSurface(samples, kRadius, {}).valueAt({0.3, 0.1})));
+}
+
+TEST(CompletionSurface, ThinningKeepsMeansAndWeights) {
+  const std::vector<SurfaceSample> samples = sampleWaves(5000, 10);
+  const std::vector<SurfaceSample> thinned = thinSamples(samples, kRadius, 200);
+  EXPECT_LE(thinned.size(), 200U);
+  EXPECT_GT(thinned.size(), 100U);
+  double weight = 0.0, value = 0.0, expected = 0.0;
+  for (const SurfaceSample& sample : thinned) {
+    weight += sample.weight;
+    value += sample.weight * sample.value;
+  }
+  for (const SurfaceSample& sample : samples) expected += sample.value;
+  EXPECT_NEAR(weight, 5000.0, 1e-6);
+  EXPECT_NEAR(value, expected, 1e-9);
+  EXPECT_EQ(thinSamples(sampleWaves(150, 1), kRadius, 200).size(), 150U);
+}
+
+TEST(CompletionSurface, PriorHasTheRadiusOfTheStem) {
+  // A straight cone without noise, hidden on one side, the axis given 4 mm off and too thick.
+  std::vector<Vector3d> points;
+  for (const SurfacePosition& p : randomPositions(400, 11)) {
+    const double r = kRadius - 0.004 * p.s;
+    points.emplace_back(r * std::cos(0.5 * p.theta), r * std::sin(0.5 * p.theta), p.s);
+  }
+  const StemAxis axis({{{0.004F, 0.0F, 0.0F}, 0.015F}, {{0.0F, 0.004F, 1.0F}, 0.015F}});
+  const auto prior = SurfacePrior::fit(points, axis, 0.0);
+  ASSERT_TRUE(prior);
+  EXPECT_LT(prior->noise(), 3e-4);
+  for (double s = 0.05; s < 1.0; s += 0.1) {
+    const double on_seen_side = prior->frame().unroll({0.0, 0.0, s}).r;
+    EXPECT_LT(on_seen_side, 6e-4) << "axis at height " << s;
+    for (double theta = -3.0; theta < 3.0; theta += 0.5) {
+      const Vector3d p = prior->frame().roll({theta, s, prior->radius(theta, s)});
+      EXPECT_NEAR(std::hypot(p.x(), p.y()), kRadius - 0.004 * p.z(), 1e-3);
+      EXPECT_NEAR(prior->radius(-kPi, s), prior->radius(kPi, s), 1e-12);
+    }
+  }
+  EXPECT_GT(prior->variance(kPi, 0.5), prior->variance(0.0, 0.5));
+}
+
+TEST(CompletionGaps, RangeLeavesLongGapsOut) {
+  const FillRange range = findFillRange({0.9, 0.1, 0.2, 0.65, 0.3}, 0.3);
+  EXPECT_DOUBLE_EQ(range.begin, 0.1);
+  EXPECT_DOUBLE_EQ(range.end, 0.9);
+  ASSERT_EQ(range.open.size(), 1U);
+  EXPECT_FALSE(range.contains(0.0));
+  EXPECT_TRUE(range.contains(0.25));
+  EXPECT_FALSE(range.contains(0.5));
+  EXPECT_TRUE(range.contains(0.8));
+  EXPECT_FALSE(range.contains(0.95));
+  EXPECT_FALSE(FillRange(findFillRange({}, 0.3)).contains(0.1));
+}
+
+/// A regular pattern of `spacing` over a stem of 0.4 m with a rectangular hole across theta = pi.
+std::vector<SurfacePosition> patternWithHole(double spacing) {
+  std::vector<SurfacePosition> positions;
+  const double step = 2.0 * kPi / std::round(2.0 * kPi * kRadius / spacing);
+  for (double s = 0.0; s <= 0.4 + 1e-9; s += spacing) {
+    for (double theta = -kPi; theta < kPi - 1e-9; theta += step) {
+      if (std::abs(s - 0.2) < 0.05 && std::abs(theta) > 0.5 * kPi) continue;
+      positions.push_back({theta, s});
+    }
+  }
+  return positions;
+}
+
+TEST(CompletionGaps, FindsOneHoleAcrossTheSeam) {
+  constexpr double kSpacing = 0.004;
+  const std::vector<SurfacePosition> positions = patternWithHole(kSpacing);
+  const SurfaceIndex index(positions, kRadius);
+  const auto radius = [](const SurfacePosition&) { return kRadius; };
+  const FillRange range{0.0, 0.4, {}};
+  const double density = 1.0 / (kSpacing * kSpacing);
+  const std::vector<GapRegion> gaps = findGaps(index, range, density, radius);
+  ASSERT_EQ(gaps.size(), 1U);
+  const double true_area = 0.1 * kPi * kRadius;
+  EXPECT_NEAR(gaps[0].area, true_area, 0.15 * true_area);
+  EXPECT_NEAR(gaps[0].volume, 0.5 * kRadius * gaps[0].area, 1e-9);
+  EXPECT_NEAR(gaps[0].curvature, 1.0 / kRadius, 1e-6);
+  const double count = expectedPoints(gaps[0], density, kRadius);
+  EXPECT_NEAR(count, density * gaps[0].area, 1e-6 * count);  // Eq 22 on a plain cylinder
+
+  std::vector<SurfacePosition> samples;
+  sampleRegion(gaps[0], count, samples);
+  EXPECT_EQ(samples.size(), static_cast<std::size_t>(std::lround(count)));
+  for (const SurfacePosition& sample : samples) {
+    EXPECT_LT(std::abs(sample.s - 0.2), 0.055);
+    EXPECT_LT(std::cos(sample.theta), std::cos(0.5 * kPi - 0.4));
+  }
+}
+
+TEST(CompletionGaps, ThickerOrMoreCurvedRegionsGetMore) {
+  GapRegion region;
+  region.area = 0.001;
+  region.volume = 0.5 * kRadius * region.area;
+  region.curvature = 1.0 / kRadius;
+  const double plain = expectedPoints(region, 1e4, kRadius);
+  EXPECT_NEAR(plain, 10.0, 1e-9);
+  region.curvature *= 2.0;
+  EXPECT_NEAR(expectedPoints(region, 1e4, kRadius), 12.5, 1e-9);
+  region.volume *= 2.0;
+  EXPECT_NEAR(expectedPoints(region, 1e4, kRadius), 15.0, 1e-9);
+}
+
+TEST(CompletionGaps, MedianDensityIsThatOfThePattern) {
+  const std::vector<SurfacePosition> positions = patternWithHole(0.004);
+  const double density = medianDensity(SurfaceIndex(positions, kRadius), positions);
+  EXPECT_NEAR(density, 62500.0, 0.35 * 62500.0);
+  EXPECT_EQ(medianDensity(SurfaceIndex({{0.0, 0.0}}, kRadius), {{0.0, 0.0}}), 0.0);
+}
+
+TEST(CompletionGaps, NothingToDoGivesNoGaps) {
+  const std::vector<SurfacePosition> positions = patternWithHole(0.004);
+  const SurfaceIndex index(positions, kRadius);
+  const auto radius = [](const SurfacePosition&) { return kRadius; };
+  EXPECT_TRUE(findGaps(index, {0.0, 0.4, {}}, 0.0, radius).empty());
+  EXPECT_TRUE(findGaps(index, {0.3, 0.3, {}}, 1e4, radius).empty());
+  EXPECT_TRUE(findGaps(index, {0.1, 0.3, {{0.1, 0.3}}}, 1e5, radius).empty());
+}
+
+}  // namespace
+}  // namespace field_phenotyping
