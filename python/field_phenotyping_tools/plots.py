@@ -1,0 +1,202 @@
+"""Plots of measured against true values. Values in metres or radians; units on the axes."""
+
+import matplotlib
+
+matplotlib.use('Agg')  # no display needed
+import matplotlib.pyplot as plt  # noqa: E402
+import numpy as np  # noqa: E402
+
+from . import traits  # noqa: E402
+from .reporting import TRAIT_UNITS  # noqa: E402
+
+_MATCHED, _MISSED, _FALSE = 'matched', 'missed', 'false'
+
+
+def write_plots(folder, rows):
+    """Writes height.png, stem_diameter.png, field_errors.png and coverage.png; returns their paths.
+
+    rows: those of evaluation.Report for a field. A plot without any value says so.
+    """
+    paths = [
+        str(folder) + '/' + name
+        for name in ('height.png', 'stem_diameter.png', 'field_errors.png', 'coverage.png')
+    ]
+    scatter(paths[0], rows, 'height')
+    scatter(paths[1], rows, 'stem_diameter')
+    field_errors(paths[2], rows)
+    coverage(paths[3], rows)
+    return paths
+
+
+def scatter(path, rows, trait):
+    """Measured against true values with 1:1 line, fitted line and scores (form of Fig. 15)."""
+    title, unit, scale, decimals = TRAIT_UNITS[trait]
+    truth, estimate, stddev = (scale * values for values in _values(rows, trait))
+    figure, axes = plt.subplots(figsize=(6.0, 6.0), constrained_layout=True)
+    scores = traits.score_trait(truth, estimate, stddev)
+    shown = np.isfinite(truth) & np.isfinite(estimate)
+    truth, estimate, stddev = truth[shown], estimate[shown], stddev[shown]
+    if truth.size:
+        axes.errorbar(
+            truth,
+            estimate,
+            np.nan_to_num(stddev),
+            fmt='o',
+            markersize=4,
+            color='tab:green',
+            ecolor='0.75',
+            elinewidth=1,
+            capsize=0,
+            label='plants, bars: reported std. dev.',
+        )
+        low = min(truth.min(), estimate.min())
+        high = max(truth.max(), estimate.max())
+        pad = 0.05 * (high - low) or 1.0
+        span = np.array([low - pad, high + pad])
+        axes.plot(span, span, '--', color='0.3', label='1:1')
+        if np.ptp(truth) > 0.0:
+            slope, offset = np.polyfit(truth, estimate, 1)
+            axes.plot(
+                span,
+                slope * span + offset,
+                color='tab:red',
+                label='fit: {:.3f} x {:+.{}f}'.format(slope, offset, decimals),
+            )
+        axes.set_xlim(span)
+        axes.set_ylim(span)
+        axes.plot(
+            [],
+            [],
+            ' ',
+            label='R² = {:.3f}, r² = {:.3f}'.format(scores['r2'], scores['squared_correlation']),
+        )
+        axes.plot(
+            [],
+            [],
+            ' ',
+            label='RMSE = {:.{d}f} {u}, bias = {:+.{d}f} {u}, n = {}'.format(
+                scores['rmse'], scores['bias'], scores['n'], d=decimals, u=unit
+            ),
+        )
+        axes.legend(loc='best', fontsize=9)
+    else:
+        _say_empty(axes)
+    axes.set_aspect('equal')
+    axes.set_xlabel('true {} [{}]'.format(title, unit))
+    axes.set_ylabel('measured {} [{}]'.format(title, unit))
+    axes.grid(alpha=0.3)
+    _save(figure, path)
+
+
+def field_errors(path, rows):
+    """Map of the errors of height and diameter, with the missed and the false plants."""
+    figure, panels = plt.subplots(2, 1, figsize=(10.0, 7.0), constrained_layout=True)
+    position = np.array([(row['x'], row['y']) for row in rows], float).reshape(-1, 2)
+    status = np.array([row['status'] for row in rows])
+    if len(position) and np.ptp(position[:, 1]) > np.ptp(position[:, 0]):
+        position = position[:, ::-1]
+        labels = ('y', 'x')
+    else:
+        labels = ('x', 'y')
+    for axes, trait in zip(panels, ('height', 'stem_diameter')):
+        title, unit, scale, _ = TRAIT_UNITS[trait]
+        error = scale * np.array([row.get(trait + '_error', np.nan) for row in rows], float)
+        known = (status == _MATCHED) & np.isfinite(error)
+        limit = np.percentile(np.abs(error[known]), 98) if known.any() else 1.0
+        shown = axes.scatter(
+            position[known, 0],
+            position[known, 1],
+            c=error[known],
+            cmap='coolwarm',
+            vmin=-limit or -1.0,
+            vmax=limit or 1.0,
+            edgecolors='0.3',
+            linewidths=0.4,
+            s=45,
+        )
+        figure.colorbar(shown, ax=axes, label='error of {} [{}]'.format(title, unit), extend='both')
+        for mask, marker, color, label in (
+            ((status == _MATCHED) & ~known, 'o', '0.6', 'not measured'),
+            (status == _MISSED, 'x', 'black', 'missed'),
+            (status == _FALSE, '+', 'red', 'false'),
+        ):
+            if mask.any():
+                axes.scatter(
+                    position[mask, 0],
+                    position[mask, 1],
+                    marker=marker,
+                    c=color,
+                    s=45,
+                    label='{} ({})'.format(label, int(mask.sum())),
+                )
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc='best', fontsize=8)
+        axes.set_aspect('equal', adjustable='datalim')
+        axes.margins(0.05, 0.2)
+        axes.ticklabel_format(useOffset=False, style='plain')
+        axes.set_xlabel('{} [m]'.format(labels[0]))
+        axes.set_ylabel('{} [m]'.format(labels[1]))
+    _save(figure, path)
+
+
+def coverage(path, rows):
+    """Histograms of error / reported standard deviation beside the normal distribution."""
+    figure, panels = plt.subplots(1, 2, figsize=(10.0, 4.2), constrained_layout=True)
+    edges = np.linspace(-6.0, 6.0, 49)
+    curve = np.linspace(-6.0, 6.0, 241)
+    for axes, trait in zip(panels, ('height', 'stem_diameter')):
+        z = traits.z_scores(*_values(rows, trait))
+        if z.size:
+            share = np.mean(np.abs(z) <= traits.CONFIDENCE_FACTOR)
+            beyond = int(np.sum(np.abs(z) > edges[-1]))
+            axes.hist(
+                np.clip(z, edges[0], edges[-1]),
+                edges,
+                density=True,
+                color='tab:green',
+                alpha=0.7,
+                label='n = {}, coverage {:.3f} (aim 0.95)\n{} beyond ±6'.format(
+                    z.size, share, beyond
+                ),
+            )
+            axes.plot(
+                curve,
+                np.exp(-0.5 * curve**2) / np.sqrt(2.0 * np.pi),
+                color='0.2',
+                label='standard normal',
+            )
+            for limit in (-traits.CONFIDENCE_FACTOR, traits.CONFIDENCE_FACTOR):
+                axes.axvline(limit, color='tab:red', linestyle='--', linewidth=1)
+            axes.set_ylim(0.0, 1.3 * axes.get_ylim()[1])  # room for the legend
+            axes.legend(loc='upper left', fontsize=8)
+        else:
+            _say_empty(axes)
+        axes.set_xlabel('error / reported standard deviation [-]')
+        axes.set_ylabel('density [-]')
+        axes.set_title(TRAIT_UNITS[trait][0])
+    _save(figure, path)
+
+
+def _values(rows, trait):
+    matched = [row for row in rows if row['status'] == _MATCHED]
+    return [
+        np.array([row.get(trait + part, np.nan) for row in matched], float)
+        for part in ('_truth', '', '_stddev')
+    ]
+
+
+def _say_empty(axes):
+    axes.text(
+        0.5,
+        0.5,
+        'no plant with both values',
+        ha='center',
+        va='center',
+        transform=axes.transAxes,
+        color='0.4',
+    )
+
+
+def _save(figure, path):
+    figure.savefig(path, dpi=130)
+    plt.close(figure)

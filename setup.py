@@ -1,0 +1,10 @@
+from distutils.core import setup
+
+from catkin_pkg.python_setup import generate_distutils_setup
+
+setup(
+    **generate_distutils_setup(
+        packages=['field_phenotyping_tools'],
+        package_dir={'': 'python'},
+    )
+)
