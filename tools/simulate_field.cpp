@@ -96,8 +96,12 @@ void addTerrainOptions(CLI::App& app, simulation::TerrainSettings& terrain) {
 void addRoverOptions(CLI::App& app, simulation::SimulationSettings& settings) {
   const char* group = "Rover";
   add(app, "--points", settings.target_points, "count",
-      "Points of the merged cloud; sets the rover's speed. 0: use --speed", group);
-  add(app, "--speed", settings.rover.speed, "m/s", "Speed of the rover, when --points is 0", group);
+      "Points of the merged cloud: the rover slows down to collect them, a surplus is thinned out "
+      "at "
+      "random. 0: all that --speed gives",
+      group);
+  add(app, "--speed", settings.rover.speed, "m/s",
+      "Speed of the rover; lower where --points asks for it", group);
   add(app, "--lane-every", settings.rover.lane_every, "count",
       "Drive every n-th lane; lane 0 is outside the first row, the last one outside the last row",
       group);

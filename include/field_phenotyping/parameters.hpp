@@ -202,7 +202,7 @@ struct MeasurementParameters {
   std::string mode = "robust";
   double diameter_height = 0.7;
   double diameter_height_share = 0.4;
-  double diameter_span = 0.15;
+  double diameter_span = 0.4;
   double noise = 0.0;
   int min_points = 12;
   double min_arc = 0.33;
@@ -236,12 +236,11 @@ struct MeasurementParameters {
                     "a diameter may be taken this far from the height asked for where the stem is "
                     "hidden there"},
       p.max_shift, 0.0, 2.0);
-    v(
-        ParameterInfo{
-            "ellipticity_prior", "",
-            "standard deviation of each component of (a - b) / (a + b) of a stem, before its points "
-            "are looked at; 0: circles"},
-        p.ellipticity_prior, 0.0, 1.0);
+    v(ParameterInfo{"ellipticity_prior", "",
+                    "standard deviation of each component of (a - b) / (a + b) of a stem, before "
+                    "its points "
+                    "are looked at; 0: circles"},
+      p.ellipticity_prior, 0.0, 1.0);
     v(ParameterInfo{"min_quality", "",
                     "plants whose stem scores less (Q of Eq 9) are flagged low_confidence"},
       p.min_quality, 0.0, 1.0);

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <limits>
 #include <random>
+#include <set>
+#include <utility>
 
 namespace field_phenotyping {
 namespace {
@@ -63,13 +65,14 @@ std::vector<Eigen::Vector3f> lowestPoints(const PointCloud& cloud, const Extent&
 /// RANSAC score: soil is a plane that many cells' lowest points lie on and few lie below.
 int scorePlane(const Plane& plane, const std::vector<Eigen::Vector3f>& candidates,
                float tolerance) {
+  constexpr int kBelowPenalty = 3;
   int score = 0;
   for (const Eigen::Vector3f& p : candidates) {
     const float residual = plane.residual(p);
     if (std::abs(residual) <= tolerance) {
       ++score;
     } else if (residual < -tolerance) {
-      --score;
+      score -= kBelowPenalty;
     }
   }
   return score;
@@ -99,13 +102,18 @@ Plane refine(const Plane& plane, const std::vector<Eigen::Vector3f>& points, flo
   return std::hypot(refined.a, refined.b) <= max_slope ? refined : plane;
 }
 
-/// The block's soil plane by RANSAC with a gravity prior.
-Plane ransacPlane(const std::vector<Eigen::Vector3f>& candidates, float tolerance,
-                  float max_slope) {
+/// A level plane through the lowest point.
+Plane lowestLevel(const std::vector<Eigen::Vector3f>& candidates) {
   const auto lowest = std::min_element(
       candidates.begin(), candidates.end(),
       [](const Eigen::Vector3f& a, const Eigen::Vector3f& b) { return a.z() < b.z(); });
-  Plane best{0.0F, 0.0F, lowest->z()};
+  return {0.0F, 0.0F, lowest->z()};
+}
+
+/// The block's soil plane by RANSAC with a gravity prior.
+Plane ransacPlane(const std::vector<Eigen::Vector3f>& candidates, float tolerance,
+                  float max_slope) {
+  Plane best = lowestLevel(candidates);
   if (candidates.size() < 3U) return best;
 
   constexpr int kIterations = 300;
@@ -133,6 +141,40 @@ Plane ransacPlane(const std::vector<Eigen::Vector3f>& candidates, float toleranc
     }
   }
   return refine(best, candidates, tolerance, max_slope);
+}
+
+/// Whether hardly any point lies below the plane: so it is with soil, not with a layer of leaves.
+bool liesLowest(const Plane& plane, const PointCloud& cloud, float tolerance) {
+  std::size_t near = 0U;
+  std::size_t below = 0U;
+  for (const Eigen::Vector3f& p : cloud.points) {
+    const float residual = plane.residual(p);
+    if (std::abs(residual) <= tolerance) ++near;
+    if (residual < -tolerance) ++below;
+  }
+  constexpr double kMostBelow = 0.05;  // of the points on the plane
+  return static_cast<double>(below) <= kMostBelow * static_cast<double>(near);
+}
+
+/// Share of the seen area in which the plane shows.
+double coverage(const Plane& plane, const std::vector<Eigen::Vector3f>& candidates,
+                float tolerance) {
+  const auto on_plane = std::count_if(
+      candidates.begin(), candidates.end(),
+      [&](const Eigen::Vector3f& p) { return std::abs(plane.residual(p)) <= tolerance; });
+  return static_cast<double>(on_plane) / static_cast<double>(candidates.size());
+}
+
+/// Number of small squares that the points on `plane` are seen in.
+std::size_t countPatches(const std::vector<Eigen::Vector3f>& nearby, const Plane& plane) {
+  constexpr float kPatch = 0.05F;
+  std::set<std::pair<int, int>> patches;
+  for (const Eigen::Vector3f& p : nearby) {
+    if (std::abs(plane.residual(p)) > 0.025F) continue;
+    patches.emplace(static_cast<int>(std::floor(p.x() / kPatch)),
+                    static_cast<int>(std::floor(p.y() / kPatch)));
+  }
+  return patches.size();
 }
 
 /// Soil round one node: the lower surface of the points near it, as a robust plane.
@@ -163,7 +205,15 @@ GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_pl
     ++count;
   }
   if (count < kMinNodePoints) return node;
-  node.height = plane.heightAt(position.x(), position.y());
+  // Soil covers some ground; what covers little is a leaf or a stem's foot, the more so far from
+  // the block's plane.
+  const float height = plane.heightAt(position.x(), position.y());
+  constexpr float kPlain = 0.06F;          // [m]
+  constexpr std::size_t kFewPatches = 8U;  // of the 64 that a node's surroundings hold
+  constexpr std::size_t kManyPatches = 20U;
+  const bool near_plane = std::abs(height - node.height) <= kPlain;
+  if (countPatches(nearby, plane) < (near_plane ? kFewPatches : kManyPatches)) return node;
+  node.height = height;
   const double roughness = std::sqrt(squares / count);
   node.stddev = static_cast<float>(std::max<double>(roughness, kMinRoughness));
   node.seen = 1U;
@@ -217,12 +267,11 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
 
   // 1. The block's plane through the lowest points.
   const std::vector<Eigen::Vector3f> candidates = lowestPoints(cloud, extent);
-  const Plane block_plane = ransacPlane(candidates, tolerance, max_slope);
-  const auto on_plane = std::count_if(
-      candidates.begin(), candidates.end(),
-      [&](const Eigen::Vector3f& p) { return std::abs(block_plane.residual(p)) <= tolerance; });
-  const bool observed = static_cast<double>(on_plane) >=
-                        parameters.ground_min_coverage * static_cast<double>(candidates.size());
+  Plane block_plane = ransacPlane(candidates, tolerance, max_slope);
+  const bool lowest = liesLowest(block_plane, cloud, tolerance);
+  if (!lowest) block_plane = lowestLevel(candidates);
+  const bool observed =
+      lowest && coverage(block_plane, candidates, tolerance) >= parameters.ground_min_coverage;
 
   const int columns = static_cast<int>((extent.high.x() - extent.low.x()) / spacing) + 2;
   const int rows = static_cast<int>((extent.high.y() - extent.low.y()) / spacing) + 2;

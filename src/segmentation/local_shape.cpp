@@ -9,8 +9,11 @@ namespace {
 
 constexpr std::uint32_t kMinNeighbors = 5U;
 
-LocalShape shapeAt(const Eigen::Vector3f& point, const NeighborGrid& grid,
-                   const std::vector<Eigen::Vector3f>& points, float radius) {
+}  // namespace
+
+LocalShape computeLocalShape(const Eigen::Vector3f& point,
+                             const std::vector<Eigen::Vector3f>& points, const NeighborGrid& grid,
+                             float radius) {
   // Moments about the point itself keep float precision wherever the cloud lies.
   Eigen::Vector3f sum = Eigen::Vector3f::Zero();
   Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
@@ -38,8 +41,6 @@ LocalShape shapeAt(const Eigen::Vector3f& point, const NeighborGrid& grid,
   return shape;
 }
 
-}  // namespace
-
 std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& points,
                                            const NeighborGrid& grid, float radius) {
   std::vector<LocalShape> shapes(points.size());
@@ -47,7 +48,7 @@ std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& p
   parallelFor((points.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
     const std::size_t end = std::min(points.size(), (chunk + 1U) * kChunk);
     for (std::size_t i = chunk * kChunk; i < end; ++i) {
-      shapes[i] = shapeAt(points[i], grid, points, radius);
+      shapes[i] = computeLocalShape(points[i], points, grid, radius);
     }
   });
   return shapes;

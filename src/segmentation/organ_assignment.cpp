@@ -1,6 +1,7 @@
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <numeric>
 #include <queue>
@@ -11,12 +12,13 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kCell = 0.015F;        // [m] points this close are one node of the graph
+constexpr float kCell = 0.012F;        // [m] points this close are one node of the graph
 constexpr float kNearReach = 0.04F;    // [m] steps within one organ
-constexpr float kTurnCost = 0.1F;      // [m^2] of a turn by a right angle
-constexpr float kShapeRadius = 0.07F;  // [m] neighbourhood that shows which way an organ runs
+constexpr float kTurnCost = 0.02F;     // [m^2] of a turn by a right angle
+constexpr float kShapeRadius = 0.06F;  // [m] neighbourhood that shows which way an organ runs
 constexpr float kAcrossCost = 60.0F;   // how much dearer a step across an organ is than along it
-constexpr float kWeedHeight = 0.25F;   // [m] below it an organ must touch its plant
+constexpr float kLeastMisfit = 0.1F;  // what a step costs through an organ that fits its plant well
+constexpr float kWeedHeight = 0.25F;  // [m] below it an organ must touch its plant
 
 /// Points gathered into cells: far fewer nodes than points, and the same paths.
 struct CellGraph {
@@ -60,8 +62,19 @@ CellGraph buildCells(const Block& block, const std::vector<std::int32_t>& owner)
   }
   for (std::size_t n = 0; n < graph.centers.size(); ++n) graph.centers[n] /= counts[n];
   for (const std::int32_t plant : graph.owner) graph.is_stem.push_back(plant >= 0 ? 1U : 0U);
-  const NeighborGrid grid(graph.centers, 0.5F * kShapeRadius);
-  graph.shapes = computeLocalShapes(graph.centers, grid, kShapeRadius);
+  // Stems would pull the shape of what passes them towards their own.
+  std::vector<Eigen::Vector3f> organs;
+  for (std::size_t n = 0; n < graph.centers.size(); ++n) {
+    if (graph.is_stem[n] == 0U) organs.push_back(graph.centers[n]);
+  }
+  const NeighborGrid grid(organs, 0.5F * kShapeRadius);
+  const std::vector<LocalShape> shapes = computeLocalShapes(organs, grid, kShapeRadius);
+  LocalShape upright;
+  upright.linearity = 1.0F;
+  graph.shapes.assign(graph.centers.size(), upright);
+  for (std::size_t n = 0, organ = 0; n < graph.centers.size(); ++n) {
+    if (graph.is_stem[n] == 0U) graph.shapes[n] = shapes[organ++];
+  }
   return graph;
 }
 
@@ -82,8 +95,40 @@ float stepCost(const CellGraph& graph, std::uint32_t from, std::uint32_t to, flo
   return squared * (1.0F + kAcrossCost * 0.5F * (across(a) + across(b))) + kTurnCost * turn * turn;
 }
 
+/// How little an organ at a node looks like one of the plant with that axis, from 0. Maize leaves
+/// stay in a vertical plane through their own stem, rise steeply from it and flatten, then droop,
+/// with the distance. Leaves that cross from a neighbour point past the stem and rise the wrong
+/// way.
+float misfit(const LocalShape& shape, const Eigen::Vector3f& center, const StemAxis& axis) {
+  const Eigen::Vector2f away = (center - axis.pointAtHeight(center.z())).head<2>();
+  const float distance = away.norm();
+  constexpr float kOnStem = 0.025F;  // [m] too near to tell
+  const Eigen::Vector2f run = shape.direction.head<2>();
+  const float level = run.norm();
+  if (distance < kOnStem || !(level > 1e-3F)) return 0.0F;
+
+  const float miss = std::abs(run.x() * away.y() - run.y() * away.x()) / level;
+  constexpr float kPlaneWidth = 0.02F;  // [m], and more with the distance
+  constexpr float kPlaneSpread = 0.3F;
+  const float off_plane =
+      miss * std::min(1.0F, 2.0F * level) / (kPlaneWidth + kPlaneSpread * distance);
+
+  const float outward = std::copysign(1.0F, run.dot(away));
+  const float slope = std::atan2(outward * shape.direction.z(), std::abs(run.dot(away)) / distance);
+  constexpr float kSlopeAtStem = 1.13F;  // [rad]
+  constexpr float kSlopeLoss = 2.1F;     // [rad/m]
+  constexpr float kSlopeWidth = 0.35F;   // [rad]
+  constexpr float kSlopeSpread = 1.0F;   // [rad/m]
+  const float off_slope =
+      (slope - (kSlopeAtStem - kSlopeLoss * distance)) / (kSlopeWidth + kSlopeSpread * distance);
+
+  constexpr float kMost = 10.0F;
+  return shape.linearity * std::min(0.5F * (off_plane * off_plane + off_slope * off_slope), kMost);
+}
+
 /// Dijkstra from all owned cells; a path may step `reach` at most.
-void growPaths(CellGraph& graph, const Block& block, float reach, bool only_tall) {
+void growPaths(CellGraph& graph, const Block& block, const std::vector<StemAxis>& axes, float reach,
+               bool only_tall) {
   const NeighborGrid grid(graph.centers, reach);
   struct Entry {
     float cost;
@@ -104,7 +149,12 @@ void growPaths(CellGraph& graph, const Block& block, float reach, bool only_tall
     open.pop();
     if (entry.cost > cost[entry.node]) continue;
     grid.forEachWithin(graph.centers[entry.node], reach, [&](std::uint32_t next, float squared) {
-      const float through = entry.cost + stepCost(graph, entry.node, next, squared);
+      if (graph.is_stem[next] != 0U) return;
+      const float step = stepCost(graph, entry.node, next, squared);
+      if (entry.cost + kLeastMisfit * step >= cost[next]) return;
+      const StemAxis& axis = axes[static_cast<std::size_t>(graph.owner[entry.node])];
+      const float through = entry.cost + step * (kLeastMisfit + misfit(graph.shapes[next],
+                                                                       graph.centers[next], axis));
       if (through >= cost[next]) return;
       if (only_tall && graph.owner[next] < 0 &&
           block.ground.heightAbove(graph.centers[next]) < kWeedHeight) {
@@ -119,14 +169,15 @@ void growPaths(CellGraph& graph, const Block& block, float reach, bool only_tall
 
 }  // namespace
 
-std::vector<std::int32_t> assignOrgans(const Block& block, std::vector<std::int32_t> owner,
+std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
+                                       std::vector<std::int32_t> owner,
                                        const SegmentationParameters& parameters) {
   if (block.cloud.empty()) return owner;
   CellGraph graph = buildCells(block, owner);
   const auto far_reach = static_cast<float>(parameters.organ_reach);
-  growPaths(graph, block, std::min(kNearReach, far_reach), false);
+  growPaths(graph, block, axes, std::min(kNearReach, far_reach), false);
   // Gaps that leaves in front have torn; not near the soil, where weeds stand as close.
-  if (far_reach > kNearReach) growPaths(graph, block, far_reach, true);
+  if (far_reach > kNearReach) growPaths(graph, block, axes, far_reach, true);
   for (std::size_t i = 0; i < owner.size(); ++i) {
     if (owner[i] < 0) owner[i] = graph.owner[graph.node_of_point[i]];
   }

@@ -194,7 +194,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& pa
 
   // Step 1: start points; Steps 2-3: growth and pruning, stem by stem.
   std::vector<Stem> stems;
-  for (StemSeeds& seeds : findStemSeeds(block, shapes, parameters)) {
+  for (StemSeeds& seeds : findStemSeeds(block, grid, shapes, parameters)) {
     stems.push_back(segmentStem(scene, std::move(seeds), block.ground, parameters));
   }
   stems.erase(std::remove_if(stems.begin(), stems.end(),
@@ -203,7 +203,9 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& pa
 
   // Every other organ to its plant.
   const std::vector<std::int32_t> stem_owner = resolveOwners(scene, stems);
-  const std::vector<std::int32_t> plant_owner = assignOrgans(block, stem_owner, parameters);
+  std::vector<StemAxis> axes;
+  for (const Stem& stem : stems) axes.push_back(stem.midline.axis);
+  const std::vector<std::int32_t> plant_owner = assignOrgans(block, axes, stem_owner, parameters);
   return assemble(block, stems, stem_owner, plant_owner);
 }
 

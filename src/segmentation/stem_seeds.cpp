@@ -3,7 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
 #include <numeric>
+#include <utility>
 
 namespace field_phenotyping {
 namespace {
@@ -33,7 +35,17 @@ struct Vote {
   float weight;
 };
 
-std::vector<std::vector<Vote>> collectVotes(const Block& block,
+/// Whether the surface at a point is a flat sheet: a stem curves round within its own radius. Noise
+/// as large as that curve hides the difference, and then nothing counts as a leaf.
+bool isFlat(const Eigen::Vector3f& point, const Block& block, const NeighborGrid& grid,
+            float radius) {
+  constexpr std::uint32_t kMinNeighbors = 12U;
+  constexpr float kFlat = 0.012F;
+  const LocalShape fine = computeLocalShape(point, block.cloud.points, grid, radius);
+  return fine.neighbors >= kMinNeighbors && fine.curvature < kFlat;
+}
+
+std::vector<std::vector<Vote>> collectVotes(const Block& block, const NeighborGrid& grid,
                                             const std::vector<LocalShape>& shapes,
                                             const SegmentationParameters& p) {
   const auto min_height = static_cast<float>(p.seed_min_height);
@@ -52,6 +64,7 @@ std::vector<std::vector<Vote>> collectVotes(const Block& block,
     const auto slab = static_cast<std::size_t>((height - min_height) / slab_height);
     constexpr std::size_t kMaxSlabs = 2000U;
     if (slab >= kMaxSlabs) continue;
+    if (isFlat(point, block, grid, 0.5F * static_cast<float>(p.seed_radius))) continue;
     if (slab >= slabs.size()) slabs.resize(slab + 1U);
     slabs[slab].push_back({point, shape.direction.head<2>() / shape.direction.z(), weight});
   }
@@ -215,13 +228,84 @@ bool branchesOff(const std::vector<Eigen::Vector3f>& chain, const std::vector<St
   return false;
 }
 
+/// Height of the canopy round every place: the highest points of coarse cells and their neighbours.
+class CanopyHeight {
+ public:
+  explicit CanopyHeight(const Block& block) {
+    for (const Eigen::Vector3f& point : block.cloud.points) {
+      float& height = heights_[cellOf(point)];
+      height = std::max(height, block.ground.heightAbove(point));
+    }
+  }
+
+  float around(const Eigen::Vector3f& point) const {
+    const auto [x, y] = cellOf(point);
+    float height = 0.0F;
+    for (int dy = -1; dy <= 1; ++dy) {
+      for (int dx = -1; dx <= 1; ++dx) {
+        const auto cell = heights_.find({x + dx, y + dy});
+        if (cell != heights_.end()) height = std::max(height, cell->second);
+      }
+    }
+    return height;
+  }
+
+ private:
+  static std::pair<int, int> cellOf(const Eigen::Vector3f& point) {
+    constexpr float kCell = 0.25F;
+    return {static_cast<int>(std::floor(point.x() / kCell)),
+            static_cast<int>(std::floor(point.y() / kCell))};
+  }
+
+  std::map<std::pair<int, int>, float> heights_;
+};
+
+/// Root mean square distance of a chain from the straight line that fits it best.
+float deviationFromLine(const std::vector<Eigen::Vector3f>& chain) {
+  Eigen::Vector3f mean = Eigen::Vector3f::Zero();
+  for (const Eigen::Vector3f& point : chain) mean += point;
+  mean /= static_cast<float>(chain.size());
+  Eigen::Vector2f slope = Eigen::Vector2f::Zero();
+  float squares = 0.0F;
+  for (const Eigen::Vector3f& point : chain) {
+    slope += (point.z() - mean.z()) * (point - mean).head<2>();
+    squares += (point.z() - mean.z()) * (point.z() - mean.z());
+  }
+  slope /= squares;
+  float sum = 0.0F;
+  for (const Eigen::Vector3f& point : chain) {
+    sum += ((point - mean).head<2>() - (point.z() - mean.z()) * slope).squaredNorm();
+  }
+  return std::sqrt(sum / static_cast<float>(chain.size()));
+}
+
+/// A stem is straight and long for the canopy round it, the longer the more of its foot is hidden.
+/// Hanging and upright leaves are not.
+bool standsLikeAStem(const std::vector<Eigen::Vector3f>& chain, const GroundModel& ground,
+                     const CanopyHeight& canopy, const SegmentationParameters& parameters) {
+  if (chain.size() < 2U) return false;
+  const float length = chain.back().z() - chain.front().z();
+  const float bottom = ground.heightAbove(chain.front());
+  if (length < static_cast<float>(parameters.seed_min_length) ||
+      bottom > static_cast<float>(parameters.seed_max_height)) {
+    return false;
+  }
+  constexpr float kLengthShare = 0.2F;  // of the canopy's height
+  constexpr float kHiddenShare = 0.8F;  // of what is hidden below
+  if (length < kLengthShare * canopy.around(chain.front()) + kHiddenShare * bottom) return false;
+  constexpr float kJitter = 0.008F;  // [m] of the clusters' centres
+  constexpr float kBend = 0.02F;     // of the length
+  return deviationFromLine(chain) <= kJitter + kBend * length;
+}
+
 }  // namespace
 
-std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<LocalShape>& shapes,
+std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& block_grid,
+                                     const std::vector<LocalShape>& shapes,
                                      const SegmentationParameters& parameters) {
   // 1. Upright clusters in every slab over the local soil.
   const auto max_stem_radius = static_cast<float>(parameters.max_stem_radius);
-  const auto votes = collectVotes(block, shapes, parameters);
+  const auto votes = collectVotes(block, block_grid, shapes, parameters);
   std::vector<Cluster> clusters;
   std::vector<std::vector<std::size_t>> slabs(votes.size());
   for (std::size_t slab = 0; slab < votes.size(); ++slab) {
@@ -239,6 +323,7 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<Local
   // 2. The best chain of clusters, again and again, until what is left is too short or too weak.
   const auto slab_height = static_cast<float>(parameters.seed_slab);
   const auto max_lean = static_cast<float>(parameters.max_lean * M_PI / 180.0);
+  const CanopyHeight canopy(block);
   std::vector<StemSeeds> stems;
   for (;;) {
     const Chain chain = bestChain(clusters, slabs, grid, slab_height, max_lean);
@@ -254,14 +339,7 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<Local
                            if (clusters[k].slab == clusters[c].slab) clusters[k].used = true;
                          });
     }
-    const float length = stem.points.back().z() - stem.points.front().z();
-    if (stem.points.size() < 2U || length < static_cast<float>(parameters.seed_min_length)) {
-      continue;
-    }
-    if (block.ground.heightAbove(stem.points.front()) >
-        static_cast<float>(parameters.seed_max_height)) {
-      continue;
-    }
+    if (!standsLikeAStem(stem.points, block.ground, canopy, parameters)) continue;
     if (branchesOff(stem.points, stems, block.ground,
                     static_cast<float>(parameters.min_plant_spacing))) {
       continue;

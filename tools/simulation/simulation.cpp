@@ -33,7 +33,8 @@ double returnShare(const Lidar& lidar, std::int32_t beams, std::uint64_t seed) {
   return static_cast<double>(sum) / (static_cast<double>(samples) * beams);
 }
 
-/// The speed at which the merged cloud has `points` points.
+/// The speed at which the merged cloud has `points` points; no faster than the rover's own, at
+/// which it has more.
 double speedForPoints(const SimulationSettings& settings, const Field& field,
                       const RayCaster& caster, double points) {
   RoverSettings rover = settings.rover;
@@ -56,7 +57,7 @@ double speedForPoints(const SimulationSettings& settings, const Field& field,
         "so many points need a rover slower than 5 mm/s: ask for fewer "
         "points, or simulate a larger field");
   }
-  return rover.speed;
+  return std::min(rover.speed, settings.rover.speed);
 }
 
 /// Removes all but `target` points, chosen by a hash of their number.

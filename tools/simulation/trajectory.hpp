@@ -10,7 +10,7 @@ namespace field_phenotyping::simulation {
 
 /// Settings of the rover and of the localisation.
 struct RoverSettings {
-  double speed = 0.5;            ///< [m/s]
+  double speed = 1.5;            ///< [m/s]
   std::int32_t lane_every = 1;   ///< drive every n-th lane, from the outer side of the first row
   double headland = 0.5;         ///< driven beyond the first and last plant [m]
   double sway_stddev_deg = 0.7;  ///< of roll and of pitch [deg]

@@ -17,6 +17,13 @@ struct LocalShape {
   std::uint32_t neighbors = 0U;  ///< points within the radius, itself included
 };
 
+/// Local shape of the cloud within `radius` [m] of `point`; neutral where fewer than five points
+/// are found.
+/// @param grid over `points`
+LocalShape computeLocalShape(const Eigen::Vector3f& point,
+                             const std::vector<Eigen::Vector3f>& points, const NeighborGrid& grid,
+                             float radius);
+
 /// Local shapes of `points` within `radius` [m]; neutral where fewer than five neighbours are
 /// found.
 /// @param grid over the same points

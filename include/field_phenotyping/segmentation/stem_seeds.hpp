@@ -19,8 +19,10 @@ struct StemSeeds {
 /// Finds the stems of a block. Leaves at stem height, weeds and gaps are survived because evidence
 /// must persist vertically: a stem is the best-supported chain of upright clusters over the slabs.
 /// Ordered by x, then y, of the lowest seed.
+/// @param grid   over the points of `block.cloud`
 /// @param shapes local shape of every point of `block.cloud`
-std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<LocalShape>& shapes,
+std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& grid,
+                                     const std::vector<LocalShape>& shapes,
                                      const SegmentationParameters& parameters);
 
 }  // namespace field_phenotyping

@@ -7,8 +7,8 @@
 
 namespace field_phenotyping {
 
-/// Finds where a stem ends below its tassel: the arc length [m] on the midline above which the points
-/// near it are better explained by a thin spike than by a stem of the tapered radius.
+/// Finds where a stem ends below its tassel: the arc length [m] on the midline above which the
+/// points near it are better explained by a thin spike than by a stem of the tapered radius.
 ///
 /// The tassel continues the stem in a straight line, so direction does not tell them apart;
 /// thickness does. Compares the likelihoods of the points' distances from the axis under both, with

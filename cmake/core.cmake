@@ -1,0 +1,16 @@
+# The algorithms: no ROS, no PCL. Needs a compiler and Eigen; TBB when there.
+file(GLOB core_sources CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/src/*.cpp
+  ${PROJECT_SOURCE_DIR}/src/*/*.cpp)
+add_library(field_phenotyping_core ${core_sources})
+target_include_directories(field_phenotyping_core PUBLIC
+  $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/include>
+  $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
+target_link_libraries(field_phenotyping_core
+  PUBLIC Eigen3::Eigen
+  PRIVATE $<BUILD_INTERFACE:field_phenotyping_warnings>)
+if(TARGET TBB::tbb)
+  target_link_libraries(field_phenotyping_core PRIVATE TBB::tbb)
+  target_compile_definitions(field_phenotyping_core PRIVATE FIELD_PHENOTYPING_WITH_TBB)
+else()
+  message(STATUS "TBB not found: the core works on one thread")
+endif()

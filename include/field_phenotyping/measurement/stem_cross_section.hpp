@@ -1,0 +1,66 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "field_phenotyping/measurement/phenotype.hpp"
+
+namespace field_phenotyping {
+
+/// What is known of a stem before its points are looked at.
+struct CrossSectionPrior {
+  double noise = 0.0;                ///< of a point across the stem, one axis [m]; 0: estimated
+  double ellipticity_stddev = 0.06;  ///< of each component of (a - b) / (a + b); 0: a circle
+};
+
+/// Cross-section of a short piece of stem, as fitted by fitStemCrossSection(). Metres, radians; x
+/// and y lie across the reference axis, heights along it.
+///
+/// The surface at height h is center + h tilt + h^2 curvature + (S + h taper radius I) u(t), where
+/// u(t) = (cos t, sin t) and S is symmetric with the eigenvalues a and b.
+struct StemCrossSection {
+  bool valid = false;
+  bool converged = false;
+  Eigen::Vector2d center = Eigen::Vector2d::Zero();     ///< at height 0 [m]
+  Eigen::Vector2d tilt = Eigen::Vector2d::Zero();       ///< of the true axis from the reference
+  Eigen::Vector2d curvature = Eigen::Vector2d::Zero();  ///< [1/m]
+  Trait radius;                                         ///< (a + b) / 2 at height 0 [m]
+  double taper = 0.0;          ///< change of radius with height, relative to `radius` [1/m]
+  Trait major;                 ///< 2a at height 0 [m]: posterior mean and standard deviation
+  Trait minor;                 ///< 2b [m]
+  Trait equivalent;            ///< 2 sqrt(a b) [m]
+  double major_angle = 0.0;    ///< of the major axis from x, in (-pi/2, pi/2]
+  double noise = 0.0;          ///< standard deviation of a point, one axis [m]
+  double outlier_share = 0.0;  ///< of points that are not of the stem's surface
+  double points = 0.0;         ///< expected number of points of the stem's surface
+  double arc_coverage = 0.0;   ///< share of the circumference with points
+  double prior_share = 0.0;    ///< of the prior in what is known of the size, in [0, 1]
+  double ellipticity_prior_share = 0.0;  ///< likewise of the ellipticity
+};
+
+/// Maximum-likelihood fit of a tapering, elliptic, gently curved cylinder (paper 2.8, default
+/// mode).
+///
+/// Each point is a point of the surface plus isotropic Gaussian noise across the axis, or an
+/// outlier spread evenly over the disc that holds all points. Noise along the surface moves points
+/// outwards, by about s^2/(2 r): given where along the surface a point lies, its distance therefore
+/// follows a Rice distribution with the surface's radius of curvature, not a normal one. No density
+/// of points around the stem is assumed, so that unseen sides are no evidence. The estimating
+/// equations are solved by Newton's method with scoring as the safe step; the noise is found by
+/// residual maximum likelihood. The covariance is the inverse of the observed information (Louis
+/// 1982), widened where patches of the surface disagree by more, for few points, and for half-seen
+/// arcs.
+///
+/// Weak priors keep sparse and half-seen stems sane: on size (from the width of the points), taper,
+/// tilt, curvature, noise, and ellipticity. As the larger of two noisy semi-axes reads too large,
+/// `major` is the posterior mean of 2a. Where the noise is above 0.4 of the radius only a circle is
+/// fitted, and the ellipticity is what the prior says.
+///
+/// @param points (x, y, height): x, y across the reference axis [m], which need not be centred or
+///        well aligned; height along it [m], 0 where the cross-section is wanted
+/// @return invalid for fewer than five points or where no finite solution is found
+/// Thread-safe, deterministic; the order of the points does not matter beyond rounding.
+StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
+                                     const CrossSectionPrior& prior);
+
+}  // namespace field_phenotyping

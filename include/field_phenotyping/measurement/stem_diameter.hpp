@@ -1,0 +1,35 @@
+#pragma once
+
+#include <cstdint>
+#include <limits>
+
+#include "field_phenotyping/measurement/phenotype.hpp"
+#include "field_phenotyping/parameters.hpp"
+#include "field_phenotyping/segmentation/segmented_block.hpp"
+
+namespace field_phenotyping {
+
+/// Stem diameter of one plant. Metres; NaN where it could not be measured, `flags` say why.
+struct StemDiameter {
+  Trait major;       ///< 2a of Eq 27, across the stem's axis
+  Trait minor;       ///< 2b
+  Trait equivalent;  ///< 2 sqrt(a b)
+  double height =
+      std::numeric_limits<double>::quiet_NaN();  ///< above the soil, that they stand for
+  double major_azimuth = std::numeric_limits<double>::quiet_NaN();  ///< from x towards y [rad]
+  double noise =
+      std::numeric_limits<double>::quiet_NaN();  ///< of a point across the stem, one axis
+  double arc_coverage = std::numeric_limits<double>::quiet_NaN();
+  std::uint32_t points = 0U;  ///< on the stem's surface, that decided the fit
+  std::uint32_t flags = kOk;
+};
+
+/// Measures the stem at `diameter_height` above the soil, on short stems at `diameter_height_share`
+/// of the stem's length (paper 2.8). Where too few points are there, those of the best populated
+/// height within `max_shift` are fitted and the result is carried to the height asked for with the
+/// stem's taper (kHeightShifted). In mode "paper" Eq 27 is solved as printed, on the points within
+/// half of `diameter_span` of the height, their z dropped. Thread-safe; deterministic.
+StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant,
+                                 const MeasurementParameters& parameters);
+
+}  // namespace field_phenotyping

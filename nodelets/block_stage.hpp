@@ -1,0 +1,142 @@
+#pragma once
+
+#include <ros/ros.h>
+#include <std_srvs/Trigger.h>
+
+#include <atomic>
+#include <chrono>
+#include <exception>
+#include <functional>
+#include <memory>
+#include <set>
+#include <string>
+
+#include "block_serialization.hpp"
+#include "block_worker.hpp"
+#include "parameter_server.hpp"
+#include "stage_health.hpp"
+
+namespace field_phenotyping {
+
+/// Messages that may wait between two stages. Long, because a lost block is a lost plant; the
+/// stages themselves keep only the newest revision of each block.
+constexpr std::uint32_t kChainQueue = 200U;
+
+/// Private parameters that every stage reads besides its section.
+const std::set<std::string>& commonParameterNames();
+
+/// Says so when a device was asked for that this build does not have.
+void checkDevice(const ros::NodeHandle& pnh, StageHealth& health);
+
+/// Holds work back until somebody listens, so that what arrives while the other nodelets are still
+/// being loaded is not handed on into the void; after `~wait_for_subscriber` [s, default 10] work
+/// begins regardless.
+class ListenerGate {
+ public:
+  ListenerGate(const ros::NodeHandle& pnh, const ros::Publisher& output);
+  bool open();
+
+ private:
+  ros::Publisher output_;
+  ros::WallTime give_up_;
+  bool open_ = false;
+};
+
+/// What the stages that work block by block have in common: `~input` → worker thread → `~output`,
+/// parameters, diagnostics and `~flush`. After a change of parameters the last blocks are worked
+/// again, so that tuning shows its effect while no data flows.
+template <class Input, class Output, class Config, class Section>
+class BlockStage {
+ public:
+  using InputPtr = boost::shared_ptr<const Input>;
+  using OutputPtr = boost::shared_ptr<const Output>;
+  /// Makes what is published. Called on the worker thread; may throw.
+  using Work = std::function<OutputPtr(const InputPtr&, const Section&)>;
+
+  BlockStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
+      : pnh_(std::move(pnh)),
+        health_(nh, pnh_, name, "block"),
+        parameters_(pnh_, health_, commonParameterNames(), [this] { parameters_changed_ = true; }),
+        output_(pnh_.advertise<Output>("output", kChainQueue)),
+        gate_(pnh_, output_) {
+    checkDevice(pnh_, health_);
+  }
+  ~BlockStage() { stop(); }
+
+  /// Begins to take input. Call it last, when everything that `work` and `idle` use is there.
+  /// @param idle called often on the worker thread, for displays
+  void start(Work work, std::function<void()> idle) {
+    work_ = std::move(work);
+    typename BlockWorker<Input>::Calls calls;
+    calls.ready = [this] { return gate_.open(); };
+    calls.work = [this](const Task& task) { workOn(task); };
+    calls.idle = [this, idle = std::move(idle)] {
+      if (parameters_changed_.exchange(false)) worker_->reworkAll();
+      guarded(idle);
+    };
+    worker_ = std::make_unique<BlockWorker<Input>>(history(pnh_), std::move(calls));
+    flush_ = pnh_.advertiseService("flush", &BlockStage::flush, this);
+    input_ = pnh_.subscribe("input", kChainQueue, &BlockStage::receive, this);
+  }
+
+  /// No callback and no work happens after this. Call it before anything `work` uses goes.
+  void stop() {
+    input_.shutdown();
+    flush_.shutdown();
+    worker_.reset();
+  }
+
+  static std::size_t history(const ros::NodeHandle& pnh) {
+    return static_cast<std::size_t>(std::max(pnh.param("history", 64), 0));
+  }
+
+  ros::NodeHandle& privateHandle() { return pnh_; }
+  StageHealth& health() { return health_; }
+
+ private:
+  using Task = typename BlockWorker<Input>::Task;
+
+  void receive(const InputPtr& block) {
+    health_.received(ros::Time().fromNSec(headerOf(*block).stamp_ns));
+    if (worker_->push(block)) health_.count("revisions skipped for newer ones");
+  }
+
+  void workOn(const Task& task) {
+    guarded([&] {
+      output_.publish(work_(task.block, parameters_.current()));
+      health_.count("blocks worked");
+      health_.finished((ros::WallTime::now() - task.arrival).toSec());
+    });
+    health_.show("blocks waiting", static_cast<double>(worker_->waiting()));
+  }
+
+  /// One bad block must not take the manager with it.
+  template <class Call>
+  void guarded(Call&& call) {
+    try {
+      call();
+    } catch (const std::exception& error) {
+      health_.count("blocks failed");
+      health_.trouble("exception", std::string("a block was given up: ") + error.what());
+    }
+  }
+
+  bool flush(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    response.success = worker_->drain(std::chrono::seconds(120));
+    response.message = response.success ? "all blocks are worked" : "still working after 120 s";
+    return true;
+  }
+
+  ros::NodeHandle pnh_;
+  StageHealth health_;
+  std::atomic<bool> parameters_changed_{false};
+  ParameterServer<Config, Section> parameters_;
+  ros::Publisher output_;
+  ListenerGate gate_;
+  Work work_;
+  std::unique_ptr<BlockWorker<Input>> worker_;
+  ros::ServiceServer flush_;
+  ros::Subscriber input_;
+};
+
+}  // namespace field_phenotyping

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <field_phenotyping/CompletionConfig.h>
+#include <ros/ros.h>
+
+#include <string>
+
+#include "block_stage.hpp"
+#include "display_topic.hpp"
+#include "field_phenotyping/parameters.hpp"
+
+namespace field_phenotyping {
+
+/// Third stage as a node: fills the gaps of the stems. The segmented block is passed on by
+/// reference, never copied.
+class CompletionStage {
+ public:
+  CompletionStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
+  ~CompletionStage();
+
+ private:
+  using Stage = BlockStage<SegmentedBlock, CompletedBlock, CompletionConfig, CompletionParameters>;
+
+  boost::shared_ptr<const CompletedBlock> work(const boost::shared_ptr<const SegmentedBlock>& block,
+                                               const CompletionParameters& parameters);
+
+  Stage stage_;
+  BlockHistory<CompletedBlock> done_;
+  DisplayTopic<CompletedBlock> completed_;
+};
+
+}  // namespace field_phenotyping

@@ -1,0 +1,478 @@
+#include "conversions.hpp"
+
+#include <sensor_msgs/PointField.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <limits>
+#include <sstream>
+
+namespace field_phenotyping {
+namespace {
+
+using sensor_msgs::PointCloud2;
+using sensor_msgs::PointField;
+
+// Beyond this distance from the frame's origin a cloud gets a local origin of its own [m].
+constexpr double kFarFromOrigin = 500.0;
+
+constexpr std::uint32_t kGrey = 0x969696U;
+constexpr std::uint32_t kDarkGrey = 0x5a5a5aU;
+constexpr std::uint32_t kGreen = 0x4ca64cU;
+constexpr std::uint32_t kRed = 0xff0000U;
+
+static_assert(std::uint32_t{PlantPhenotype::OK} == kOk &&
+                  std::uint32_t{PlantPhenotype::TOO_FEW_POINTS} == kTooFewPoints &&
+                  std::uint32_t{PlantPhenotype::ARC_BELOW} == kArcBelow &&
+                  std::uint32_t{PlantPhenotype::POOR_FIT} == kPoorFit &&
+                  std::uint32_t{PlantPhenotype::GROUND_EXTRAPOLATED} == kGroundExtrapolated &&
+                  std::uint32_t{PlantPhenotype::GROUND_MISSING} == kGroundMissing &&
+                  std::uint32_t{PlantPhenotype::HEIGHT_SHIFTED} == kHeightShifted &&
+                  std::uint32_t{PlantPhenotype::SHORT_STEM} == kShortStem &&
+                  std::uint32_t{PlantPhenotype::TRUNCATED} == kTruncated &&
+                  std::uint32_t{PlantPhenotype::LOW_CONFIDENCE} == kLowConfidence &&
+                  std::uint32_t{PlantPhenotype::PRIOR_DRIVEN} == kPriorDriven,
+              "the constants of PlantPhenotype.msg must equal QualityFlag");
+
+bool hostIsBigEndian() {
+  const std::uint16_t one = 1U;
+  std::uint8_t first = 0U;
+  std::memcpy(&first, &one, 1U);
+  return first == 0U;
+}
+
+template <class Value>
+Value load(const std::uint8_t* bytes, bool swap) {
+  std::array<std::uint8_t, sizeof(Value)> raw;
+  std::copy_n(bytes, sizeof(Value), raw.begin());
+  if (swap) std::reverse(raw.begin(), raw.end());
+  Value value;
+  std::memcpy(&value, raw.data(), sizeof(Value));
+  return value;
+}
+
+std::string typeName(std::uint8_t datatype) {
+  static const std::array<const char*, 9> names = {
+      "type 0", "INT8", "UINT8", "INT16", "UINT16", "INT32", "UINT32", "FLOAT32", "FLOAT64"};
+  return datatype < names.size() ? names[datatype] : "type " + std::to_string(datatype);
+}
+
+std::string fieldList(const PointCloud2& message) {
+  if (message.fields.empty()) return "none";
+  std::string list;
+  for (const PointField& field : message.fields) {
+    list += (list.empty() ? "" : ", ") + field.name + " (" + typeName(field.datatype) + ")";
+  }
+  return list;
+}
+
+const PointField* findField(const PointCloud2& message, const std::string& name) {
+  for (const PointField& field : message.fields) {
+    if (field.name == name) return &field;
+  }
+  return nullptr;
+}
+
+std::size_t sizeOf(const PointField& field) {
+  return field.datatype == PointField::FLOAT64 ? 8U : 4U;
+}
+
+void requireInsidePoint(const PointField& field, const PointCloud2& message) {
+  if (std::uint64_t{field.offset} + sizeOf(field) <= message.point_step) return;
+  std::ostringstream what;
+  what << "field " << field.name << " at offset " << field.offset << " reaches beyond the "
+       << message.point_step << " bytes of a point; the driver that made the cloud is at fault";
+  throw CloudFormatError(what.str());
+}
+
+const PointField& coordinateField(const PointCloud2& message, const char* name) {
+  const PointField* field = findField(message, name);
+  if (field == nullptr) {
+    throw CloudFormatError("the cloud has no field '" + std::string(name) +
+                           "', only: " + fieldList(message) + "; x, y and z are needed");
+  }
+  if (field->datatype != PointField::FLOAT32 && field->datatype != PointField::FLOAT64) {
+    throw CloudFormatError("field '" + std::string(name) + "' is " + typeName(field->datatype) +
+                           "; FLOAT32 or FLOAT64 is needed");
+  }
+  requireInsidePoint(*field, message);
+  return *field;
+}
+
+/// The packed colour, if the cloud has one that can be read.
+const PointField* colorField(const PointCloud2& message) {
+  for (const char* name : {"rgb", "rgba"}) {
+    const PointField* field = findField(message, name);
+    const bool packed = field != nullptr && (field->datatype == PointField::FLOAT32 ||
+                                             field->datatype == PointField::UINT32 ||
+                                             field->datatype == PointField::INT32);
+    if (!packed) continue;
+    requireInsidePoint(*field, message);
+    return field;
+  }
+  return nullptr;
+}
+
+/// Bytes from one row to the next.
+std::uint64_t checkedRowStep(const PointCloud2& message) {
+  const std::uint64_t row = std::uint64_t{message.width} * message.point_step;
+  // Many drivers leave row_step unset where there is only one row.
+  const std::uint64_t step = message.height <= 1U ? row : message.row_step;
+  if (step < row) {
+    std::ostringstream what;
+    what << "row_step is " << step << " bytes, but a row of " << message.width << " points of "
+         << message.point_step << " bytes needs " << row
+         << "; the driver that made the cloud is at fault";
+    throw CloudFormatError(what.str());
+  }
+  const std::uint64_t needed =
+      message.height == 0U || row == 0U ? 0U : step * (message.height - 1U) + row;
+  if (message.data.size() < needed) {
+    std::ostringstream what;
+    what << "the cloud holds " << message.data.size() << " bytes, but " << message.width << " x "
+         << message.height << " points need " << needed << "; it was cut short";
+    throw CloudFormatError(what.str());
+  }
+  return step;
+}
+
+/// Origin near the cloud, on whole metres, or zero where the frame's own is near enough.
+Eigen::Vector3d originNear(const Eigen::Vector3d& point) {
+  if (point.cwiseAbs().maxCoeff() < kFarFromOrigin) return Eigen::Vector3d::Zero();
+  return point.array().round();
+}
+
+std::string formatted(const char* format, double value) {
+  std::array<char, 32> text{};
+  std::snprintf(text.data(), text.size(), format, value);
+  return text.data();
+}
+
+std::string labelText(const Phenotype& plant) {
+  const std::string height =
+      std::isfinite(plant.height.value) ? formatted("%.2f m", plant.height.value) : "height ?";
+  const std::string diameter = std::isfinite(plant.stem_diameter.value)
+                                   ? formatted("%.1f mm", 1000.0 * plant.stem_diameter.value)
+                                   : "diameter ?";
+  return height + "\n" + diameter;
+}
+
+geometry_msgs::Point toPoint(const Eigen::Vector3d& p) {
+  geometry_msgs::Point message;
+  message.x = p.x();
+  message.y = p.y();
+  message.z = p.z();
+  return message;
+}
+
+visualization_msgs::Marker marker(const std_msgs::Header& header, const char* name_space,
+                                  std::int32_t id, std::int32_t action) {
+  visualization_msgs::Marker message;
+  // Stamp 0 keeps rviz from looking up a transform of the past.
+  message.header.frame_id = header.frame_id;
+  message.ns = name_space;
+  message.id = id;
+  message.action = action;
+  message.pose.orientation.w = 1.0;
+  message.color.a = 1.0F;
+  return message;
+}
+
+Eigen::Vector3d topOf(const Phenotype& plant) {
+  const double rise = std::isfinite(plant.height.value) ? plant.height.value : 0.3;
+  const double slope = std::max(plant.axis.z(), 0.1);
+  return plant.base + plant.axis * (rise / slope);
+}
+
+}  // namespace
+
+Scan toScan(const PointCloud2& message) {
+  const std::array<const PointField*, 3> axes = {&coordinateField(message, "x"),
+                                                 &coordinateField(message, "y"),
+                                                 &coordinateField(message, "z")};
+  const PointField* color = colorField(message);
+  const std::uint64_t row_step = checkedRowStep(message);
+  const bool swap = (message.is_bigendian != 0U) != hostIsBigEndian();
+
+  Scan scan;
+  scan.stamp_ns = message.header.stamp.toNSec();
+  const std::size_t count = std::size_t{message.width} * message.height;
+  scan.cloud.points.reserve(count);
+  if (color != nullptr) scan.cloud.colors.reserve(count);
+
+  bool origin_known = false;
+  for (std::uint32_t row = 0; row < message.height; ++row) {
+    const std::uint8_t* point = message.data.data() + row * row_step;
+    for (std::uint32_t column = 0; column < message.width; ++column, point += message.point_step) {
+      Eigen::Vector3d p;
+      for (int i = 0; i < 3; ++i) {
+        const PointField& field = *axes[static_cast<std::size_t>(i)];
+        p[i] = field.datatype == PointField::FLOAT32
+                   ? static_cast<double>(load<float>(point + field.offset, swap))
+                   : load<double>(point + field.offset, swap);
+      }
+      if (!origin_known && p.allFinite()) {
+        scan.cloud.origin = originNear(p);
+        origin_known = true;
+      }
+      scan.cloud.points.push_back((p - scan.cloud.origin).cast<float>());
+      if (color != nullptr) {
+        scan.cloud.colors.push_back(load<std::uint32_t>(point + color->offset, swap) & 0xffffffU);
+      }
+    }
+  }
+  return scan;
+}
+
+double coordinateResolution(const PointCloud2& message, const Scan& scan) {
+  const auto far = static_cast<float>(scan.cloud.origin.cwiseAbs().maxCoeff());
+  double coarsest = 0.0;
+  for (const char* name : {"x", "y", "z"}) {
+    const PointField* field = findField(message, name);
+    if (field == nullptr || field->datatype != PointField::FLOAT32) continue;
+    const float step = std::nextafter(far, std::numeric_limits<float>::infinity()) - far;
+    coarsest = std::max(coarsest, static_cast<double>(step));
+  }
+  return coarsest;
+}
+
+PlantPhenotype toMessage(const Phenotype& plant) {
+  PlantPhenotype message;
+  message.id = plant.id;
+  message.revision = plant.revision;
+  message.final = plant.final;
+  message.base = toPoint(plant.base);
+  message.axis.x = plant.axis.x();
+  message.axis.y = plant.axis.y();
+  message.axis.z = plant.axis.z();
+  message.height = plant.height.value;
+  message.height_stddev = plant.height.stddev;
+  message.stem_diameter = plant.stem_diameter.value;
+  message.stem_diameter_stddev = plant.stem_diameter.stddev;
+  message.stem_diameter_minor = plant.stem_diameter_minor.value;
+  message.stem_diameter_minor_stddev = plant.stem_diameter_minor.stddev;
+  message.stem_diameter_equivalent = plant.stem_diameter_equivalent.value;
+  message.stem_diameter_equivalent_stddev = plant.stem_diameter_equivalent.stddev;
+  message.diameter_height = plant.diameter_height;
+  message.lean = plant.lean.value;
+  message.lean_stddev = plant.lean.stddev;
+  message.lean_azimuth = plant.lean_azimuth;
+  message.spacing = plant.spacing.value;
+  message.spacing_stddev = plant.spacing.stddev;
+  message.arc_coverage = plant.arc_coverage;
+  message.completeness = plant.completeness;
+  message.stem_points = plant.stem_points;
+  message.plant_points = plant.plant_points;
+  message.diameter_points = plant.diameter_points;
+  message.synthetic_points = plant.synthetic_points;
+  message.segmentation_quality = plant.segmentation_quality;
+  message.flags = plant.flags;
+  return message;
+}
+
+Phenotype fromMessage(const PlantPhenotype& message) {
+  Phenotype plant;
+  plant.id = message.id;
+  plant.revision = message.revision;
+  plant.final = message.final != 0U;
+  plant.base = {message.base.x, message.base.y, message.base.z};
+  plant.axis = {message.axis.x, message.axis.y, message.axis.z};
+  plant.height = {message.height, message.height_stddev};
+  plant.stem_diameter = {message.stem_diameter, message.stem_diameter_stddev};
+  plant.stem_diameter_minor = {message.stem_diameter_minor, message.stem_diameter_minor_stddev};
+  plant.stem_diameter_equivalent = {message.stem_diameter_equivalent,
+                                    message.stem_diameter_equivalent_stddev};
+  plant.diameter_height = message.diameter_height;
+  plant.lean = {message.lean, message.lean_stddev};
+  plant.lean_azimuth = message.lean_azimuth;
+  plant.spacing = {message.spacing, message.spacing_stddev};
+  plant.arc_coverage = message.arc_coverage;
+  plant.completeness = message.completeness;
+  plant.stem_points = message.stem_points;
+  plant.plant_points = message.plant_points;
+  plant.diameter_points = message.diameter_points;
+  plant.synthetic_points = message.synthetic_points;
+  plant.segmentation_quality = message.segmentation_quality;
+  plant.flags = message.flags;
+  return plant;
+}
+
+PlantPhenotypeArray toMessage(const std::vector<Phenotype>& plants, const BlockHeader& header) {
+  PlantPhenotypeArray message;
+  message.header.stamp.fromNSec(header.stamp_ns);
+  message.header.frame_id = header.frame_id;
+  message.block_x = header.index.x;
+  message.block_y = header.index.y;
+  message.revision = header.revision;
+  message.final = header.final;
+  message.plants.reserve(plants.size());
+  for (const Phenotype& plant : plants) message.plants.push_back(toMessage(plant));
+  return message;
+}
+
+std::vector<Phenotype> fromMessage(const PlantPhenotypeArray& message) {
+  std::vector<Phenotype> plants;
+  plants.reserve(message.plants.size());
+  for (const PlantPhenotype& plant : message.plants) plants.push_back(fromMessage(plant));
+  return plants;
+}
+
+namespace {
+
+/// How one point lies in the data of a DisplayCloud.
+struct DisplayPoint {
+  float x, y, z;
+  std::uint32_t rgb;
+  std::int32_t plant_id;
+};
+
+PointField displayField(const char* name, std::size_t offset, std::uint8_t datatype) {
+  PointField field;
+  field.name = name;
+  field.offset = static_cast<std::uint32_t>(offset);
+  field.datatype = datatype;
+  field.count = 1U;
+  return field;
+}
+
+}  // namespace
+
+DisplayCloud::DisplayCloud(std::size_t stride) : stride_(std::max<std::size_t>(stride, 1U)) {}
+
+void DisplayCloud::add(const Eigen::Vector3d& point, std::uint32_t rgb, std::int32_t plant_id) {
+  if (offered_++ % stride_ != 0U) return;
+  const Eigen::Vector3f p = point.cast<float>();
+  const DisplayPoint entry{p.x(), p.y(), p.z(), rgb, plant_id};
+  data_.resize(data_.size() + sizeof(entry));
+  std::memcpy(data_.data() + data_.size() - sizeof(entry), &entry, sizeof(entry));
+  ++points_;
+}
+
+PointCloud2 DisplayCloud::message(const std_msgs::Header& header) const {
+  PointCloud2 message;
+  message.header = header;
+  message.height = 1U;
+  message.width = static_cast<std::uint32_t>(points_);
+  message.fields = {displayField("x", offsetof(DisplayPoint, x), PointField::FLOAT32),
+                    displayField("y", offsetof(DisplayPoint, y), PointField::FLOAT32),
+                    displayField("z", offsetof(DisplayPoint, z), PointField::FLOAT32),
+                    displayField("rgb", offsetof(DisplayPoint, rgb), PointField::FLOAT32),
+                    displayField("plant_id", offsetof(DisplayPoint, plant_id), PointField::INT32)};
+  message.is_bigendian = hostIsBigEndian();
+  message.point_step = sizeof(DisplayPoint);
+  message.row_step = message.point_step * message.width;
+  message.is_dense = 1U;
+  message.data = data_;
+  return message;
+}
+
+std::uint32_t plantColor(std::int32_t plant_id) {
+  // Hues a golden ratio apart, without the red that completed points have.
+  const double turn = 0.618033988749895 * plant_id;
+  const double hue = 0.08 + 0.84 * (turn - std::floor(turn));
+  std::uint32_t rgb = 0U;
+  for (const double shift : {0.0, 2.0 / 3.0, 1.0 / 3.0}) {
+    const double wheel = hue + shift - std::floor(hue + shift);
+    const double level = std::min(1.0, std::max(0.0, std::abs(6.0 * wheel - 3.0) - 1.0));
+    rgb = (rgb << 8U) | static_cast<std::uint32_t>(std::lround(60.0 + 195.0 * level));
+  }
+  return rgb;
+}
+
+void addGround(const Block& block, DisplayCloud& cloud) {
+  const GroundModel& ground = block.ground;
+  for (std::size_t i = 0; i < ground.nodes().size(); ++i) {
+    const GroundModel::Node& node = ground.nodes()[i];
+    const auto columns = static_cast<std::size_t>(ground.columns());
+    const Eigen::Vector3d p =
+        block.cloud.origin +
+        Eigen::Vector3d(ground.corner().x() + ground.spacing() * static_cast<float>(i % columns),
+                        ground.corner().y() + ground.spacing() * static_cast<float>(i / columns),
+                        node.height);
+    if (block.header.holds(p.x(), p.y())) cloud.add(p, node.seen != 0U ? kGrey : kDarkGrey, -1);
+  }
+}
+
+void addAboveGround(const Block& block, DisplayCloud& cloud) {
+  for (std::size_t i = 0; i < block.cloud.size(); ++i) {
+    const Eigen::Vector3d p = block.cloud.mapPoint(i);
+    if (!block.header.holds(p.x(), p.y())) continue;
+    cloud.add(p, block.cloud.hasColors() ? block.cloud.colors[i] : kGreen, -1);
+  }
+}
+
+void addStems(const SegmentedBlock& block, DisplayCloud& cloud) {
+  for (const Plant& plant : block.plants) {
+    if (!plant.owned) continue;
+    for (std::uint32_t i = plant.stem.begin; i < plant.stem.end; ++i) {
+      cloud.add(block.cloud.mapPoint(i), plantColor(plant.id), plant.id);
+    }
+  }
+}
+
+void addPlants(const SegmentedBlock& block, DisplayCloud& cloud) {
+  for (const Plant& plant : block.plants) {
+    if (!plant.owned) continue;
+    for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
+      const bool stem = i >= plant.stem.begin && i < plant.stem.end;
+      cloud.add(block.cloud.mapPoint(i), stem ? plantColor(plant.id) : kGreen, plant.id);
+    }
+  }
+}
+
+void addSynthetic(const CompletedBlock& block, DisplayCloud& cloud) {
+  for (std::size_t k = 0; k < block.synthetic_span.size(); ++k) {
+    const Plant& plant = block.segmented->plants[k];
+    if (!plant.owned) continue;
+    const IndexSpan& span = block.synthetic_span[k];
+    for (std::uint32_t i = span.begin; i < span.end; ++i) {
+      cloud.add(block.synthetic.mapPoint(i), kRed, plant.id);
+    }
+  }
+}
+
+visualization_msgs::MarkerArray plantMarkers(const std::vector<Phenotype>& plants,
+                                             const std_msgs::Header& header) {
+  visualization_msgs::MarkerArray array;
+  for (const Phenotype& plant : plants) {
+    visualization_msgs::Marker axis =
+        marker(header, "axis", plant.id, visualization_msgs::Marker::ADD);
+    axis.type = visualization_msgs::Marker::LINE_STRIP;
+    axis.scale.x = 0.005;
+    axis.color.r = axis.color.g = axis.color.b = 1.0F;
+    axis.points = {toPoint(plant.base), toPoint(topOf(plant))};
+    array.markers.push_back(axis);
+
+    visualization_msgs::Marker label =
+        marker(header, "label", plant.id, visualization_msgs::Marker::ADD);
+    label.type = visualization_msgs::Marker::TEXT_VIEW_FACING;
+    label.scale.z = 0.06;
+    label.color.r = label.color.g = label.color.b = 1.0F;
+    label.pose.position = toPoint(topOf(plant) + Eigen::Vector3d(0.0, 0.0, 0.1));
+    label.text = labelText(plant);
+    array.markers.push_back(label);
+  }
+  return array;
+}
+
+visualization_msgs::MarkerArray removedMarkers(const std::vector<std::int32_t>& plant_ids,
+                                               const std_msgs::Header& header) {
+  visualization_msgs::MarkerArray array;
+  for (const std::int32_t id : plant_ids) {
+    for (const char* name_space : {"axis", "label"}) {
+      array.markers.push_back(marker(header, name_space, id, visualization_msgs::Marker::DELETE));
+    }
+  }
+  return array;
+}
+
+visualization_msgs::MarkerArray noMarkers(const std_msgs::Header& header) {
+  visualization_msgs::MarkerArray array;
+  array.markers.push_back(marker(header, "", 0, visualization_msgs::Marker::DELETEALL));
+  return array;
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,94 @@
+#pragma once
+
+#include <field_phenotyping/PlantPhenotypeArray.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <std_msgs/Header.h>
+#include <visualization_msgs/MarkerArray.h>
+
+#include <boost/shared_ptr.hpp>
+#include <cstdint>
+#include <memory>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "field_phenotyping/completion/completed_block.hpp"
+#include "field_phenotyping/measurement/phenotype.hpp"
+#include "field_phenotyping/preprocessing/block.hpp"
+#include "field_phenotyping/preprocessing/preprocessor.hpp"
+#include "field_phenotyping/segmentation/segmented_block.hpp"
+
+// Everything between ROS messages and the core's values.
+
+namespace field_phenotyping {
+
+/// A PointCloud2 that cannot be read; what() names the cause and what was found instead.
+class CloudFormatError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Reads `x y z` (FLOAT32 or FLOAT64, any order, padding, byte order, organised or not) and, where
+/// there is one, the colour in `rgb` or `rgba`. All points are kept in their order, non-finite ones
+/// too. A cloud far from its frame's origin gets a local origin near its first finite point.
+/// @throws CloudFormatError when a coordinate is missing or the layout does not fit the data
+Scan toScan(const sensor_msgs::PointCloud2& message);
+
+/// Smallest step [m] that the coordinates of the cloud can resolve, by their type and magnitude.
+double coordinateResolution(const sensor_msgs::PointCloud2& message, const Scan& scan);
+
+/// The array that replaces what earlier revisions of the block said.
+PlantPhenotypeArray toMessage(const std::vector<Phenotype>& plants, const BlockHeader& header);
+PlantPhenotype toMessage(const Phenotype& plant);
+Phenotype fromMessage(const PlantPhenotype& message);
+std::vector<Phenotype> fromMessage(const PlantPhenotypeArray& message);
+
+/// The same object under the other library's pointer: nothing is copied.
+template <class T>
+std::shared_ptr<const T> toStd(const boost::shared_ptr<const T>& pointer) {
+  return std::shared_ptr<const T>(pointer.get(), [pointer](const T*) {});
+}
+
+/// A cloud for rviz, with the fields `x y z` [m, FLOAT32, the block's frame], `rgb` and `plant_id`
+/// (INT32, -1 where none). Keeps every `stride`-th point of what is added. Far from the frame's
+/// origin rviz's own single precision limits what can be seen (1 mm at 8 km).
+class DisplayCloud {
+ public:
+  explicit DisplayCloud(std::size_t stride = 1U);
+
+  void add(const Eigen::Vector3d& point, std::uint32_t rgb, std::int32_t plant_id);
+  std::size_t size() const { return points_; }
+  sensor_msgs::PointCloud2 message(const std_msgs::Header& header) const;
+
+ private:
+  std::size_t stride_;
+  std::size_t offered_ = 0U;
+  std::size_t points_ = 0U;
+  std::vector<std::uint8_t> data_;
+};
+
+/// Easily told apart from the colours of neighbouring ids; 0x00RRGGBB.
+std::uint32_t plantColor(std::int32_t plant_id);
+
+/// Nodes of the soil model in the block's own tile, grey; darker where extrapolated.
+void addGround(const Block& block, DisplayCloud& cloud);
+/// Denoised points above the soil in the block's own tile, in their own colours if known.
+void addAboveGround(const Block& block, DisplayCloud& cloud);
+/// Stems of the block's own plants, each plant in its colour.
+void addStems(const SegmentedBlock& block, DisplayCloud& cloud);
+/// All points of the block's own plants, organs other than the stem in green.
+void addPlants(const SegmentedBlock& block, DisplayCloud& cloud);
+/// Filled-in stem points of the block's own plants, red.
+void addSynthetic(const CompletedBlock& block, DisplayCloud& cloud);
+
+/// Axis (namespace "axis") and label with height and stem diameter ("label") of each plant; the
+/// marker's id is the plant's.
+visualization_msgs::MarkerArray plantMarkers(const std::vector<Phenotype>& plants,
+                                             const std_msgs::Header& header);
+/// Takes the markers of plants that are no longer believed in away.
+visualization_msgs::MarkerArray removedMarkers(const std::vector<std::int32_t>& plant_ids,
+                                               const std_msgs::Header& header);
+/// Takes all markers away.
+visualization_msgs::MarkerArray noMarkers(const std_msgs::Header& header);
+
+}  // namespace field_phenotyping

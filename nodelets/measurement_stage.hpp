@@ -1,0 +1,40 @@
+#pragma once
+
+#include <field_phenotyping/MeasurementConfig.h>
+#include <field_phenotyping/PlantPhenotypeArray.h>
+#include <ros/ros.h>
+
+#include <atomic>
+#include <string>
+#include <vector>
+
+#include "block_stage.hpp"
+#include "field_phenotyping/parameters.hpp"
+#include "plant_table.hpp"
+
+namespace field_phenotyping {
+
+/// Last stage as a node: completed blocks in, the traits of their plants out.
+class MeasurementStage {
+ public:
+  MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
+  ~MeasurementStage();
+
+ private:
+  using Stage =
+      BlockStage<CompletedBlock, PlantPhenotypeArray, MeasurementConfig, MeasurementParameters>;
+
+  boost::shared_ptr<const PlantPhenotypeArray> work(const CompletedBlock& block,
+                                                    const MeasurementParameters& parameters);
+  void showMarkers();
+
+  Stage stage_;
+  PlantTable table_;
+  std_msgs::Header header_;                // of the last block
+  std::vector<std::int32_t> removed_;      // plants whose markers are to go
+  std::vector<Phenotype> fresh_;           // plants whose markers are to change
+  std::atomic<bool> new_listener_{false};  // wants to see all of them
+  ros::Publisher markers_;
+};
+
+}  // namespace field_phenotyping

@@ -1,0 +1,314 @@
+#include "preprocessing_stage.hpp"
+
+#include <tf2_eigen/tf2_eigen.h>
+
+#include <algorithm>
+#include <boost/make_shared.hpp>
+#include <chrono>
+#include <exception>
+#include <limits>
+#include <set>
+#include <sstream>
+
+#include "conversions.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+// A stamp that lies this far before the newest one means that time was set back (a bag that starts
+// again), not that scans changed places on the way.
+const ros::Duration kTimeJump(1.0);
+const ros::Duration kTfMemory(60.0);
+// Coarser coordinates than this spoil a stem's diameter [m].
+constexpr double kCoarse = 0.001;
+constexpr std::chrono::seconds kFlushLimit(120);
+
+/// tf2 knows no leading slash, old drivers still write it.
+std::string withoutSlash(const std::string& frame) {
+  return !frame.empty() && frame.front() == '/' ? frame.substr(1) : frame;
+}
+
+std::set<std::string> ownParameterNames() {
+  std::set<std::string> names = commonParameterNames();
+  names.insert({"target_frame", "tf_timeout", "idle_timeout", "queue_size"});
+  return names;
+}
+
+}  // namespace
+
+PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
+                                       const std::string& name)
+    : pnh_(std::move(pnh)),
+      health_(nh, pnh_, name, "scan"),
+      target_frame_(withoutSlash(pnh_.param<std::string>("target_frame", "map"))),
+      tf_timeout_(pnh_.param("tf_timeout", 1.0)),
+      idle_timeout_(pnh_.param("idle_timeout", 1.5)),
+      queue_size_(static_cast<std::size_t>(std::max(pnh_.param("queue_size", 50), 1))),
+      parameters_(pnh_, health_, ownParameterNames(), [this] { parameters_changed_ = true; }),
+      tf_buffer_(kTfMemory),
+      tf_listener_(tf_buffer_, nh),
+      output_(pnh_.advertise<Block>("output", kChainQueue)),
+      gate_(pnh_, output_),
+      preprocessor_(parameters_.current(), target_frame_),
+      done_(static_cast<std::size_t>(std::max(pnh_.param("history", 64), 0))),
+      ground_(pnh_, "ground", addGround),
+      cloud_(pnh_, "cloud", addAboveGround) {
+  checkDevice(pnh_, health_);
+  worker_ = std::thread([this] { run(); });
+  flush_server_ = pnh_.advertiseService("flush", &PreprocessingStage::flush, this);
+  input_ = pnh_.subscribe("input", static_cast<std::uint32_t>(queue_size_),
+                          &PreprocessingStage::receive, this);
+}
+
+PreprocessingStage::~PreprocessingStage() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    running_ = false;
+  }
+  changed_.notify_all();
+  input_.shutdown();
+  flush_server_.shutdown();
+  worker_.join();
+}
+
+void PreprocessingStage::receive(const sensor_msgs::PointCloud2ConstPtr& message) {
+  health_.received(message->header.stamp);
+  bool dropped = false;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    last_arrival_ = ros::WallTime::now();
+    scans_.push_back({message, last_arrival_});
+    dropped = scans_.size() > queue_size_;
+    if (dropped) scans_.pop_front();
+  }
+  changed_.notify_all();
+  if (!dropped) return;
+  health_.count("scans dropped: queue full");
+  health_.trouble("queue full",
+                  "scans arrive faster than they are worked or than tf follows: the oldest was "
+                  "dropped. Raise queue_size above lag x rate, or crop the scans");
+}
+
+bool PreprocessingStage::flush(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  const std::uint64_t wanted = ++flushes_wanted_;
+  changed_.notify_all();
+  response.success =
+      changed_.wait_for(lock, kFlushLimit, [&] { return flushes_done_ >= wanted || !running_; });
+  response.message = response.success ? "all blocks are handed on" : "still working after 120 s";
+  return true;
+}
+
+void PreprocessingStage::run() {
+  std::unique_lock<std::mutex> lock(mutex_);
+  while (running_) {
+    lock.unlock();
+    try {
+      step();
+    } catch (const std::exception& error) {
+      // One bad scan or block must not take the manager with it.
+      health_.count("failures");
+      health_.trouble("exception", std::string("a step was given up: ") + error.what());
+    }
+    lock.lock();
+  }
+}
+
+void PreprocessingStage::step() {
+  std::uint64_t wanted = 0U;
+  bool asked_to_flush = false;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    wanted = flushes_wanted_;
+    asked_to_flush = wanted > flushes_done_;
+  }
+  if (parameters_changed_.exchange(false)) applyParameters();
+  addScans();
+  const bool more = handOnBlocks(asked_to_flush || inputIsIdle());
+  ground_.update(done_);
+  cloud_.update(done_);
+
+  std::unique_lock<std::mutex> lock(mutex_);
+  if (asked_to_flush && !more && scans_.empty()) {
+    flushes_done_ = wanted;
+    changed_.notify_all();
+  }
+  // A scan at the queue's head may be waiting for tf, so a non-empty queue is no reason to hurry.
+  if (!more && running_) changed_.wait_for(lock, std::chrono::milliseconds(10));
+}
+
+void PreprocessingStage::addScans() {
+  while (true) {
+    WaitingScan next;
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      if (scans_.empty()) return;
+      next = scans_.front();
+    }
+    if (!addScan(next)) return;
+    const std::lock_guard<std::mutex> lock(mutex_);
+    // The callback may have dropped it meanwhile to make room.
+    if (!scans_.empty() && scans_.front().message == next.message) scans_.pop_front();
+  }
+}
+
+/// @return false when the scan should stay in the queue and be tried again
+bool PreprocessingStage::addScan(const WaitingScan& waiting) {
+  bool try_again = false;
+  const auto T_target_sensor = findTransform(waiting, try_again);
+  if (try_again) return false;
+  if (!T_target_sensor) return true;
+  try {
+    place(waiting.message, *T_target_sensor);
+  } catch (const CloudFormatError& error) {
+    health_.count("scans dropped: unreadable");
+    health_.trouble("unreadable", std::string("a scan was dropped: ") + error.what());
+  }
+  return true;
+}
+
+std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const WaitingScan& waiting,
+                                                                   bool& try_again) {
+  const std_msgs::Header& header = waiting.message->header;
+  if (isRegistered(*waiting.message)) return Eigen::Isometry3d::Identity();
+  const std::string frame = withoutSlash(header.frame_id);
+  std::string reason = "its frame_id is empty";
+  if (!frame.empty() && tf_buffer_.canTransform(target_frame_, frame, header.stamp, &reason)) {
+    return tf2::transformToEigen(tf_buffer_.lookupTransform(target_frame_, frame, header.stamp));
+  }
+  try_again = ros::WallTime::now() - waiting.arrival < tf_timeout_ && !frame.empty();
+  if (try_again) return std::nullopt;
+
+  health_.count("scans dropped: no transform");
+  std::ostringstream text;
+  text << "a scan was dropped: no transform from '" << frame << "' to '" << target_frame_
+       << "' at its stamp within " << tf_timeout_.toSec() << " s (" << reason
+       << "). Is the SLAM running, is target_frame right, is use_sim_time set for a bag?";
+  health_.trouble("no transform", text.str());
+  return std::nullopt;
+}
+
+void PreprocessingStage::place(const sensor_msgs::PointCloud2ConstPtr& message,
+                               const Eigen::Isometry3d& T_target_sensor) {
+  const Scan scan = toScan(*message);
+  noticeTimeJump(message->header.stamp);
+  if (isRegistered(*message) != registered_) {
+    registered_ = !registered_;
+    preprocessor_.setParameters(effectiveParameters());
+  }
+  const ScanReport report = preprocessor_.addScan(scan, T_target_sensor);
+  ++scans_added_;
+  only_scan_ = scans_added_ == 1U ? message : nullptr;
+  only_transform_ = T_target_sensor;
+  reportScan(*message, scan, report);
+}
+
+void PreprocessingStage::reportScan(const sensor_msgs::PointCloud2& message, const Scan& scan,
+                                    const ScanReport& report) {
+  health_.count("points received", report.points);
+  health_.count("points non-finite", report.non_finite);
+  health_.count("points out of range or crop box", report.out_of_range);
+  health_.show("open tiles", static_cast<double>(preprocessor_.openTiles()));
+  health_.show("voxels", static_cast<double>(preprocessor_.voxels()));
+  if (report.points == 0U) {
+    health_.trouble("empty", "a scan holds no point: does the sensor see anything?");
+  } else if (report.used == 0U) {
+    std::ostringstream text;
+    text << "no point of a scan of " << report.points << " was of use: " << report.non_finite
+         << " are not finite, " << report.out_of_range
+         << " lie outside min_range ... max_range or the crop box. Are coordinates in metres?";
+    health_.trouble("unused", text.str());
+  }
+  const double resolution = coordinateResolution(message, scan);
+  if (resolution > kCoarse) {
+    std::ostringstream text;
+    text << "so far from the origin of '" << target_frame_ << "' FLOAT32 coordinates come in steps "
+         << "of " << resolution << " m: stems blur. Use FLOAT64, or a frame with its origin nearby";
+    health_.trouble("coarse", text.str());
+  }
+}
+
+void PreprocessingStage::noticeTimeJump(const ros::Time& stamp) {
+  if (stamp.isZero()) return;
+  if (stamp + kTimeJump < newest_stamp_) {
+    health_.count("time jumps");
+    health_.trouble("time jump", "time went back by " +
+                                     std::to_string((newest_stamp_ - stamp).toSec()) +
+                                     " s (a bag that starts again?): the open blocks are given up, "
+                                     "measured plants are kept");
+    preprocessor_.reset();
+    scans_added_ = 0U;
+    revision_base_ = 0U;
+    newest_revision_ = 0U;
+    newest_stamp_ = stamp;
+  }
+  newest_stamp_ = std::max(newest_stamp_, stamp);
+}
+
+void PreprocessingStage::applyParameters() {
+  const bool emptied = preprocessor_.setParameters(effectiveParameters());
+  if (!emptied && !only_scan_) return;
+  revision_base_ = newest_revision_;
+  if (!only_scan_) {
+    scans_added_ = 0U;
+    health_.trouble("emptied", "a new voxel_size or block_size empties the map: blocks begin anew");
+    return;
+  }
+  // One whole cloud comes only once: it is worked again, so that tuning shows its effect.
+  preprocessor_.reset();
+  preprocessor_.addScan(toScan(*only_scan_), only_transform_);
+}
+
+PreprocessingParameters PreprocessingStage::effectiveParameters() const {
+  PreprocessingParameters parameters = parameters_.current();
+  if (registered_) {
+    parameters.min_range = 0.0;
+    parameters.max_range = std::numeric_limits<double>::infinity();
+  }
+  return parameters;
+}
+
+/// @return whether blocks are left that should be handed on now
+bool PreprocessingStage::handOnBlocks(bool flush) {
+  // One whole cloud needs no preliminary blocks: they are made once, when nothing follows it.
+  const bool may_be_whole = scans_added_ < 2U;
+  if (!gate_.open() || (may_be_whole && !flush)) return false;
+  const std::vector<BlockIndex> due = preprocessor_.dueBlocks(flush);
+  for (std::size_t i = 0; i < due.size(); ++i) {
+    handOn(due[i], flush);
+    if (scansWaiting()) return i + 1U < due.size();
+  }
+  return false;
+}
+
+void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
+  const ros::WallTime begin = ros::WallTime::now();
+  auto block = boost::make_shared<Block>(preprocessor_.makeBlock(index, flush));
+  preprocessor_.markHandedOn(block->header);
+  block->header.revision += revision_base_;
+  newest_revision_ = std::max(newest_revision_, block->header.revision);
+  const boost::shared_ptr<const Block> finished = std::move(block);
+  output_.publish(finished);
+  done_.add(finished);
+  ground_.changed();
+  cloud_.changed();
+  health_.count("blocks handed on");
+  health_.show("points in the last block", static_cast<double>(finished->cloud.size()));
+  health_.finished((ros::WallTime::now() - begin).toSec());
+}
+
+bool PreprocessingStage::isRegistered(const sensor_msgs::PointCloud2& message) const {
+  return withoutSlash(message.header.frame_id) == target_frame_;
+}
+
+bool PreprocessingStage::scansWaiting() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return !scans_.empty();
+}
+
+bool PreprocessingStage::inputIsIdle() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return scans_.empty() && ros::WallTime::now() - last_arrival_ > idle_timeout_;
+}
+
+}  // namespace field_phenotyping

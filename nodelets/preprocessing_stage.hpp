@@ -1,0 +1,108 @@
+#pragma once
+
+#include <field_phenotyping/PreprocessingConfig.h>
+#include <ros/ros.h>
+#include <sensor_msgs/PointCloud2.h>
+#include <std_srvs/Trigger.h>
+#include <tf2_ros/buffer.h>
+#include <tf2_ros/transform_listener.h>
+
+#include <Eigen/Geometry>
+#include <atomic>
+#include <condition_variable>
+#include <deque>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include "block_stage.hpp"
+#include "display_topic.hpp"
+#include "field_phenotyping/preprocessing/preprocessor.hpp"
+#include "parameter_server.hpp"
+#include "stage_health.hpp"
+
+namespace field_phenotyping {
+
+/// First stage as a node: PointCloud2 and tf in, blocks out.
+///
+/// A scan in `~target_frame` is taken as registered: no tf, and no cropping by range, for nobody
+/// knows where its sensor was. Any other scan waits for its transform at its own stamp, up to
+/// `~tf_timeout`; without one it is dropped, never placed at a guess. All work is done on one
+/// thread outside the callbacks.
+class PreprocessingStage {
+ public:
+  PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
+  ~PreprocessingStage();
+
+ private:
+  struct WaitingScan {
+    sensor_msgs::PointCloud2ConstPtr message;
+    ros::WallTime arrival;
+  };
+
+  // Called by ROS.
+  void receive(const sensor_msgs::PointCloud2ConstPtr& message);
+  bool flush(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response);
+
+  // The worker thread.
+  void run();
+  void step();
+  void addScans();
+  bool addScan(const WaitingScan& waiting);
+  std::optional<Eigen::Isometry3d> findTransform(const WaitingScan& waiting, bool& try_again);
+  void place(const sensor_msgs::PointCloud2ConstPtr& message,
+             const Eigen::Isometry3d& T_target_sensor);
+  void reportScan(const sensor_msgs::PointCloud2& message, const Scan& scan,
+                  const ScanReport& report);
+  void noticeTimeJump(const ros::Time& stamp);
+  void applyParameters();
+  PreprocessingParameters effectiveParameters() const;
+  bool handOnBlocks(bool flush);
+  void handOn(const BlockIndex& index, bool flush);
+
+  bool isRegistered(const sensor_msgs::PointCloud2& message) const;
+  bool scansWaiting() const;
+  bool inputIsIdle() const;
+
+  ros::NodeHandle pnh_;
+  StageHealth health_;
+  const std::string target_frame_;
+  const ros::WallDuration tf_timeout_;
+  const ros::WallDuration idle_timeout_;
+  const std::size_t queue_size_;
+  std::atomic<bool> parameters_changed_{false};
+  ParameterServer<PreprocessingConfig, PreprocessingParameters> parameters_;
+  tf2_ros::Buffer tf_buffer_;
+  tf2_ros::TransformListener tf_listener_;
+  ros::Publisher output_;
+  ListenerGate gate_;
+
+  // Of the worker thread alone.
+  Preprocessor preprocessor_;
+  bool registered_ = false;  // the last scan needed no transform
+  ros::Time newest_stamp_;
+  std::size_t scans_added_ = 0U;                // since the map was empty
+  sensor_msgs::PointCloud2ConstPtr only_scan_;  // kept while it is the only one, for tuning
+  Eigen::Isometry3d only_transform_ = Eigen::Isometry3d::Identity();
+  std::uint32_t revision_base_ = 0U;  // revisions go on counting when new parameters empty the map
+  std::uint32_t newest_revision_ = 0U;
+  BlockHistory<Block> done_;
+  DisplayTopic<Block> ground_;
+  DisplayTopic<Block> cloud_;
+
+  // Between the callbacks and the worker.
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<WaitingScan> scans_;
+  ros::WallTime last_arrival_;
+  std::uint64_t flushes_wanted_ = 0U;
+  std::uint64_t flushes_done_ = 0U;
+  bool running_ = true;
+
+  std::thread worker_;
+  ros::ServiceServer flush_server_;
+  ros::Subscriber input_;
+};
+
+}  // namespace field_phenotyping

@@ -1,0 +1,93 @@
+#include "stage_health.hpp"
+
+#include <algorithm>
+
+namespace field_phenotyping {
+namespace {
+
+const ros::WallDuration kRateWindow(5.0);
+const ros::WallDuration kTroubleShown(10.0);
+const ros::WallDuration kLogInterval(5.0);
+
+}  // namespace
+
+StageHealth::StageHealth(const ros::NodeHandle& nh, const ros::NodeHandle& pnh,
+                         const std::string& name, const std::string& input)
+    : name_(name), input_(input), updater_(nh, pnh, name) {
+  updater_.setHardwareID("none");
+  updater_.add("status", this, &StageHealth::fill);
+  // Wall time: with use_sim_time a paused bag must not silence the diagnostics.
+  timer_ = pnh.createWallTimer(ros::WallDuration(1.0),
+                               [this](const ros::WallTimerEvent&) { updater_.force_update(); });
+}
+
+void StageHealth::received(const ros::Time& stamp) {
+  const ros::Time now = ros::Time::now();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  last_arrival_ = ros::WallTime::now();
+  arrivals_.push_back(last_arrival_);
+  while (last_arrival_ - arrivals_.front() > kRateWindow) arrivals_.pop_front();
+  ++received_;
+  age_ = stamp.isZero() ? 0.0 : (now - stamp).toSec();
+}
+
+void StageHealth::finished(double seconds) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  latency_ = seconds;
+}
+
+void StageHealth::count(const std::string& what, std::uint64_t amount) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  counters_[what] += amount;
+}
+
+void StageHealth::show(const std::string& what, double value) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  figures_[what] = value;
+}
+
+std::uint64_t StageHealth::counted(const std::string& what) const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const auto found = counters_.find(what);
+  return found == counters_.end() ? 0U : found->second;
+}
+
+void StageHealth::trouble(const std::string& kind, const std::string& text) {
+  const ros::WallTime now = ros::WallTime::now();
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    trouble_ = text;
+    trouble_time_ = now;
+    const auto logged = logged_.find(kind);
+    if (logged != logged_.end() && now - logged->second < kLogInterval) return;
+    logged_[kind] = now;
+  }
+  ROS_WARN_STREAM("[" << name_ << "] " << text);
+}
+
+void StageHealth::fill(diagnostic_updater::DiagnosticStatusWrapper& status) {
+  using diagnostic_msgs::DiagnosticStatus;
+  const ros::WallTime now = ros::WallTime::now();
+  const std::lock_guard<std::mutex> lock(mutex_);
+  while (!arrivals_.empty() && now - arrivals_.front() > kRateWindow) arrivals_.pop_front();
+
+  if (!trouble_.empty() && now - trouble_time_ < kTroubleShown) {
+    status.summary(DiagnosticStatus::WARN, trouble_);
+  } else if (received_ == 0U) {
+    status.summary(DiagnosticStatus::WARN, "no " + input_ + " has arrived yet");
+  } else if (arrivals_.empty()) {
+    status.summary(DiagnosticStatus::OK, "idle: no " + input_ + " for a while");
+  } else {
+    status.summary(DiagnosticStatus::OK, "running");
+  }
+  status.add("rate [1/s]", static_cast<double>(arrivals_.size()) / kRateWindow.toSec());
+  status.add("received", received_);
+  status.add("age at arrival [s]", age_);
+  status.add("latency [s]", latency_);
+  if (!last_arrival_.isZero()) status.add("silent for [s]", (now - last_arrival_).toSec());
+  for (const auto& [what, value] : counters_) status.add(what, value);
+  for (const auto& [what, value] : figures_) status.add(what, value);
+  status.add("last trouble", trouble_.empty() ? "none" : trouble_);
+}
+
+}  // namespace field_phenotyping

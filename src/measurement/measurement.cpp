@@ -1,0 +1,87 @@
+#include "field_phenotyping/measurement/measurement.hpp"
+
+#include <algorithm>
+
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/measurement/lean.hpp"
+#include "field_phenotyping/measurement/plant_height.hpp"
+#include "field_phenotyping/measurement/row_spacing.hpp"
+#include "field_phenotyping/measurement/stem_coverage.hpp"
+#include "field_phenotyping/measurement/stem_diameter.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+/// Whether the plant has points where the block's data end.
+bool reachesBorder(const SegmentedBlock& block, const Plant& plant) {
+  constexpr double kNear = 0.01;  // [m]
+  const BlockHeader& header = block.header;
+  const Eigen::Vector2d low = Eigen::Vector2d(header.index.x, header.index.y) * header.tile_size -
+                              Eigen::Vector2d::Constant(header.margin - kNear);
+  const Eigen::Vector2d high =
+      low + Eigen::Vector2d::Constant(header.tile_size + 2.0 * (header.margin - kNear));
+  for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
+    const Eigen::Vector2d point = block.cloud.mapPoint(i).head<2>();
+    if ((point.array() < low.array()).any() || (point.array() > high.array()).any()) return true;
+  }
+  return false;
+}
+
+Phenotype measurePlant(const CompletedBlock& completed, std::size_t index, const Trait& spacing,
+                       const MeasurementParameters& parameters) {
+  const SegmentedBlock& block = *completed.segmented;
+  const Plant& plant = block.plants[index];
+  Phenotype phenotype;
+  phenotype.id = plant.id;
+  phenotype.revision = block.header.revision;
+  phenotype.final = block.header.final;
+  phenotype.base = block.cloud.origin + plant.base.cast<double>();
+
+  const PlantHeight height = measurePlantHeight(block, plant, parameters);
+  phenotype.height = height.height;
+
+  const StemDiameter diameter = measureStemDiameter(block, plant, parameters);
+  phenotype.stem_diameter = diameter.major;
+  phenotype.stem_diameter_minor = diameter.minor;
+  phenotype.stem_diameter_equivalent = diameter.equivalent;
+  phenotype.diameter_height = diameter.height;
+  phenotype.arc_coverage = diameter.arc_coverage;
+  phenotype.diameter_points = diameter.points;
+
+  const Lean lean = measureLean(plant);
+  phenotype.axis = lean.axis;
+  phenotype.lean = lean.angle;
+  phenotype.lean_azimuth = lean.azimuth;
+  phenotype.spacing = spacing;
+
+  phenotype.completeness = stemCompleteness(block, plant);
+  phenotype.stem_points = plant.stem.size();
+  phenotype.plant_points = plant.points.size();
+  if (index < completed.synthetic_span.size()) {
+    phenotype.synthetic_points = completed.synthetic_span[index].size();
+  }
+  phenotype.segmentation_quality = plant.growth.quality;
+  phenotype.flags = height.flags | diameter.flags;
+  if (reachesBorder(block, plant)) phenotype.flags |= kTruncated;
+  if (plant.growth.quality < parameters.min_quality) phenotype.flags |= kLowConfidence;
+  return phenotype;
+}
+
+}  // namespace
+
+std::vector<Phenotype> measureBlock(const CompletedBlock& block,
+                                    const MeasurementParameters& parameters) {
+  const std::vector<Plant>& plants = block.segmented->plants;
+  std::vector<std::size_t> owned;
+  for (std::size_t i = 0; i < plants.size(); ++i) {
+    if (plants[i].owned) owned.push_back(i);
+  }
+  const std::vector<Trait> spacings = measureRowSpacing(*block.segmented);
+  std::vector<Phenotype> phenotypes(owned.size());
+  parallelFor(owned.size(), [&](std::size_t i) {
+    phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], parameters);
+  });
+  return phenotypes;
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,163 @@
+#include "field_phenotyping/pipeline.hpp"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <chrono>
+#include <limits>
+#include <map>
+#include <mutex>
+#include <stdexcept>
+#include <unordered_map>
+#include <utility>
+
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/completion/completion.hpp"
+#include "field_phenotyping/measurement/measurement.hpp"
+#include "field_phenotyping/preprocessing/voxel_map.hpp"
+#include "field_phenotyping/segmentation/plant_registry.hpp"
+#include "field_phenotyping/segmentation/segmentation.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+double secondsSince(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+/// Adds up the stages' times and reports progress; called from many threads.
+class Bookkeeper {
+ public:
+  Bookkeeper(std::size_t work, const ProgressCallback& progress)
+      : work_(work), progress_(progress) {}
+
+  void add(std::size_t stage, double seconds, std::size_t points) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    times_[stage].seconds += seconds;
+    times_[stage].points += points;
+    ++done_;
+    if (progress_) progress_(static_cast<double>(done_) / static_cast<double>(work_));
+  }
+  const std::vector<StageTime>& times() const { return times_; }
+
+ private:
+  std::mutex mutex_;
+  std::vector<StageTime> times_ = {
+      {"preprocessing"}, {"segmentation"}, {"completion"}, {"measurement"}};
+  std::size_t work_;
+  std::size_t done_ = 0U;
+  const ProgressCallback& progress_;
+};
+
+/// The labels of voxels by tile: block clouds hold voxel centroids, which lie in their own voxel.
+class VoxelLabels {
+ public:
+  explicit VoxelLabels(const PreprocessingParameters& parameters)
+      : map_(parameters.block_size, parameters.voxel_size) {}
+
+  void setHeightDatum(double z) { map_.setHeightDatum(z); }
+
+  /// Plants reach into their neighbours' tiles; a block has the last word in its own.
+  void add(const SegmentedBlock& block) {
+    for (const Plant& plant : block.plants) {
+      if (!plant.owned) continue;
+      for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
+        const Part part = i < plant.stem.end ? Part::kStem : Part::kOther;
+        const Eigen::Vector3d p = block.cloud.mapPoint(i);
+        const auto [entry, is_new] =
+            labels_[map_.tileAt(p.x(), p.y())].try_emplace(keyOf(p), PointLabel{plant.id, part});
+        if (!is_new && map_.tileAt(p.x(), p.y()) == block.header.index) {
+          entry->second = {plant.id, part};
+        }
+      }
+    }
+  }
+
+  PointLabel at(const Eigen::Vector3d& p) const {
+    const auto tile = labels_.find(map_.tileAt(p.x(), p.y()));
+    if (tile == labels_.end()) return {};
+    const auto label = tile->second.find(keyOf(p));
+    return label == tile->second.end() ? PointLabel{} : label->second;
+  }
+
+ private:
+  VoxelKey keyOf(const Eigen::Vector3d& p) const {
+    const Eigen::Vector3d local = p - map_.originOf(map_.tileAt(p.x(), p.y()));
+    return voxelKey(local.cast<float>(), map_.voxelSize());
+  }
+
+  VoxelMap map_;
+  std::map<BlockIndex, std::unordered_map<VoxelKey, PointLabel>> labels_;
+};
+
+}  // namespace
+
+PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& parameters,
+                              const ProgressCallback& progress) {
+  const std::string errors = checkParameters(parameters);
+  if (!errors.empty()) throw std::invalid_argument(errors);
+
+  // 2.3 Preprocessing. The cloud comes in the map frame: there is no sensor to measure range from.
+  const Clock::time_point start = Clock::now();
+  PreprocessingParameters preprocessing = parameters.preprocessing;
+  preprocessing.min_range = 0.0;
+  preprocessing.max_range = std::numeric_limits<double>::infinity();
+  Preprocessor preprocessor(preprocessing, "map");
+  Scan scan;
+  scan.cloud = cloud;
+  preprocessor.addScan(scan, Eigen::Isometry3d::Identity());
+  const std::vector<BlockIndex> due = preprocessor.dueBlocks(true);
+  constexpr std::size_t kStages = 4U;
+  Bookkeeper bookkeeper(1U + kStages * due.size(), progress);
+  bookkeeper.add(0U, secondsSince(start), 0U);
+
+  // 2.3, 2.4: blocks are independent of one another.
+  std::vector<std::shared_ptr<SegmentedBlock>> segmented(due.size());
+  std::vector<std::uint8_t> has_soil(due.size(), 0U);
+  parallelFor(due.size(), [&](std::size_t b) {
+    Clock::time_point stage_start = Clock::now();
+    const Block block = preprocessor.makeBlock(due[b], true);
+    has_soil[b] = block.ground.observed() ? 1U : 0U;
+    bookkeeper.add(0U, secondsSince(stage_start), block.cloud.size() + block.ground_points);
+    stage_start = Clock::now();
+    segmented[b] = std::make_shared<SegmentedBlock>(segmentBlock(block, parameters.segmentation));
+    bookkeeper.add(1U, secondsSince(stage_start), block.cloud.size());
+  });
+  // Ids in the blocks' order, so that they do not depend on which block was ready first.
+  PlantRegistry registry;
+  for (const auto& block : segmented) registry.identify(*block);
+
+  // 2.5, 2.7, 2.8.
+  PipelineResult result;
+  result.blocks.resize(due.size());
+  std::vector<std::vector<Phenotype>> measured(due.size());
+  parallelFor(due.size(), [&](std::size_t b) {
+    Clock::time_point stage_start = Clock::now();
+    auto completed =
+        std::make_shared<CompletedBlock>(completeBlock(segmented[b], parameters.completion));
+    bookkeeper.add(2U, secondsSince(stage_start), completed->synthetic.size());
+    stage_start = Clock::now();
+    measured[b] = measureBlock(*completed, parameters.measurement);
+    bookkeeper.add(3U, secondsSince(stage_start), segmented[b]->cloud.size());
+    result.blocks[b] = std::move(completed);
+  });
+
+  VoxelLabels voxel_labels(preprocessing);
+  if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
+  for (std::size_t b = 0; b < due.size(); ++b) {
+    voxel_labels.add(*segmented[b]);
+    result.plants.insert(result.plants.end(), measured[b].begin(), measured[b].end());
+    if (has_soil[b] == 0U) ++result.blocks_without_soil;
+  }
+  std::sort(result.plants.begin(), result.plants.end(),
+            [](const Phenotype& a, const Phenotype& b) { return a.id < b.id; });
+  result.labels.resize(cloud.size());
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    if (cloud.points[i].allFinite()) result.labels[i] = voxel_labels.at(cloud.mapPoint(i));
+  }
+  result.times = bookkeeper.times();
+  return result;
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,87 @@
+// Work split over threads: everything once, exceptions come through, the limit holds.
+
+#include <gtest/gtest.h>
+
+#include <atomic>
+#include <mutex>
+#include <set>
+#include <stdexcept>
+#include <thread>
+#include <vector>
+
+#include "field_phenotyping/common/parallel.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+TEST(ParallelFor, RunsEveryIndexOnce) {
+  for (const std::size_t count : {0U, 1U, 2U, 7U, 1000U, 100000U}) {
+    std::vector<std::atomic<int>> runs(count);
+    parallelFor(count, [&](std::size_t i) { ++runs[i]; });
+    for (std::size_t i = 0; i < count; ++i) ASSERT_EQ(runs[i], 1) << i << " of " << count;
+  }
+}
+
+TEST(ParallelFor, Nests) {
+  std::vector<std::vector<int>> cells(20U, std::vector<int>(50U, 0));
+  parallelFor(cells.size(), [&](std::size_t row) {
+    parallelFor(cells[row].size(),
+                [&](std::size_t column) { cells[row][column] += static_cast<int>(row + column); });
+  });
+  for (std::size_t row = 0; row < cells.size(); ++row) {
+    for (std::size_t column = 0; column < cells[row].size(); ++column) {
+      ASSERT_EQ(cells[row][column], static_cast<int>(row + column));
+    }
+  }
+}
+
+TEST(ParallelFor, RethrowsWhatATaskThrows) {
+  for (int repeat = 0; repeat < 20; ++repeat) {
+    try {
+      parallelFor(500U, [](std::size_t i) {
+        if (i % 100U == 37U) throw std::runtime_error("task failed");
+      });
+      FAIL() << "nothing was thrown";
+    } catch (const std::runtime_error& error) {
+      EXPECT_STREQ(error.what(), "task failed");
+    }
+  }
+  std::atomic<int> runs{0};
+  parallelFor(100U, [&](std::size_t) { ++runs; });
+  EXPECT_EQ(runs, 100) << "works again after a failure";
+}
+
+std::size_t threadsUsed() {
+  std::mutex mutex;
+  std::set<std::thread::id> threads;
+  parallelFor(2000U, [&](std::size_t) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    threads.insert(std::this_thread::get_id());
+  });
+  return threads.size();
+}
+
+TEST(ThreadLimit, OneThreadMeansTheCaller) {
+  const ThreadLimit limit(1);
+  std::set<std::thread::id> threads;
+  parallelFor(500U, [&](std::size_t) { threads.insert(std::this_thread::get_id()); });
+  EXPECT_EQ(threads, std::set<std::thread::id>{std::this_thread::get_id()});
+}
+
+TEST(ThreadLimit, BoundsTheThreadsAndEnds) {
+  {
+    const ThreadLimit limit(2);
+    EXPECT_LE(threadsUsed(), 2U);
+  }
+  {
+    const ThreadLimit all(0);
+    EXPECT_GE(threadsUsed(), 1U);
+  }
+  // Nested limits: the tighter one holds.
+  const ThreadLimit outer(2);
+  const ThreadLimit inner(1);
+  EXPECT_EQ(threadsUsed(), 1U);
+}
+
+}  // namespace
+}  // namespace field_phenotyping

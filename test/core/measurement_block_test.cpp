@@ -1,0 +1,434 @@
+// Traits of whole plants in a block, against exact truth.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <memory>
+#include <random>
+#include <vector>
+
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/measurement/measurement.hpp"
+#include "field_phenotyping/measurement/row_spacing.hpp"
+#include "field_phenotyping/measurement/stem_coverage.hpp"
+#include "field_phenotyping/measurement/stem_diameter.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr double kDegree = M_PI / 180.0;
+
+struct PlantTruth {
+  Eigen::Vector2d base{1.0, 1.0};  // local
+  double stem_length = 2.0;
+  double diameter = 0.020;  // 2a at the soil, no taper
+  double axis_ratio = 0.85;
+  double angle = 0.5;
+  double lean = 0.0;  // towards +x
+  double noise = 0.003;
+  int points_per_meter = 2000;
+  double gap_low = 0.0, gap_high = 0.0;  // heights without stem points
+};
+
+/// Builds a block of straight stems on soil z = soil(x, y), in order.
+class BlockBuilder {
+ public:
+  BlockBuilder() : block_(std::make_shared<SegmentedBlock>()) {
+    block_->header.tile_size = 2.0;
+    block_->header.revision = 7U;
+    block_->header.final = true;
+  }
+
+  template <class Soil>
+  BlockBuilder& soil(const Soil& height, float stddev = 0.004F, bool seen = true,
+                     bool observed = true) {
+    constexpr float kSpacing = 0.1F;
+    constexpr int kNodes = 41;
+    std::vector<GroundModel::Node> nodes;
+    for (int j = 0; j < kNodes; ++j) {
+      for (int i = 0; i < kNodes; ++i) {
+        const float x = -1.0F + kSpacing * static_cast<float>(i);
+        const float y = -1.0F + kSpacing * static_cast<float>(j);
+        nodes.push_back(
+            {static_cast<float>(height(x, y)), stddev, static_cast<std::uint8_t>(seen ? 1 : 0)});
+      }
+    }
+    block_->ground =
+        GroundModel({-1.0F, -1.0F}, kSpacing, kNodes, kNodes, std::move(nodes), observed);
+    return *this;
+  }
+
+  BlockBuilder& origin(const Eigen::Vector3d& origin) {
+    block_->cloud.origin = origin;
+    block_->header.index.x = static_cast<std::int32_t>(std::floor((origin.x() + 1.0) / 2.0));
+    block_->header.index.y = static_cast<std::int32_t>(std::floor((origin.y() + 1.0) / 2.0));
+    return *this;
+  }
+
+  BlockBuilder& plant(const PlantTruth& truth, std::uint32_t seed, bool owned = true) {
+    std::mt19937 engine(seed);
+    std::normal_distribution<double> normal;
+    std::uniform_real_distribution<double> uniform;
+    const float soil = block_->ground.heightAt(static_cast<float>(truth.base.x()),
+                                               static_cast<float>(truth.base.y()));
+    const Eigen::Vector3d base(truth.base.x(), truth.base.y(), soil);
+    const Eigen::Vector3d along(std::sin(truth.lean), 0.0, std::cos(truth.lean));
+    const Eigen::Vector3d across(std::cos(truth.lean), 0.0, -std::sin(truth.lean));
+    const Eigen::Vector3d side = Eigen::Vector3d::UnitY();
+    Plant plant;
+    plant.id = static_cast<std::int32_t>(block_->plants.size());
+    plant.owned = owned;
+    plant.base = base.cast<float>();
+    plant.growth.quality = 0.9F;
+    plant.points.begin = plant.stem.begin = static_cast<std::uint32_t>(block_->cloud.size());
+    const int count = static_cast<int>(truth.points_per_meter * truth.stem_length);
+    const double a = 0.5 * truth.diameter;
+    const double b = truth.axis_ratio * a;
+    for (int i = 0; i < count; ++i) {
+      const double h = truth.stem_length * uniform(engine);
+      const double t = 2.0 * M_PI * uniform(engine);
+      const double u = a * std::cos(t), v = b * std::sin(t);
+      const double c = std::cos(truth.angle), s = std::sin(truth.angle);
+      const Eigen::Vector3d noise(normal(engine), normal(engine), normal(engine));
+      if (h > truth.gap_low && h < truth.gap_high) continue;
+      add(base + h * along + (c * u - s * v) * across + (s * u + c * v) * side +
+          truth.noise * noise);
+    }
+    plant.stem.end = plant.points.end = static_cast<std::uint32_t>(block_->cloud.size());
+    std::vector<StemAxis::Node> nodes(5);
+    for (std::size_t k = 0; k < nodes.size(); ++k) {
+      const double h = truth.stem_length * static_cast<double>(k) / 4.0;
+      nodes[k].position = (base + h * along).cast<float>();
+      nodes[k].radius = static_cast<float>(0.5 * (a + b));
+    }
+    plant.axis = StemAxis(nodes);
+    block_->plants.push_back(plant);
+    return *this;
+  }
+
+  /// Points of other organs, given to the plant added last.
+  BlockBuilder& organ(const std::vector<Eigen::Vector3d>& points) {
+    for (const Eigen::Vector3d& point : points) add(point);
+    block_->plants.back().points.end = static_cast<std::uint32_t>(block_->cloud.size());
+    return *this;
+  }
+
+  SegmentedBlock& block() { return *block_; }
+
+  CompletedBlock completed() const {
+    CompletedBlock completed;
+    completed.segmented = block_;
+    completed.synthetic_span.resize(block_->plants.size());
+    return completed;
+  }
+
+ private:
+  void add(const Eigen::Vector3d& point) { block_->cloud.points.push_back(point.cast<float>()); }
+
+  std::shared_ptr<SegmentedBlock> block_;
+};
+
+Phenotype measureOne(const BlockBuilder& builder,
+                     const MeasurementParameters& parameters = MeasurementParameters()) {
+  const std::vector<Phenotype> phenotypes = measureBlock(builder.completed(), parameters);
+  EXPECT_EQ(phenotypes.size(), 1U);
+  return phenotypes.empty() ? Phenotype() : phenotypes.front();
+}
+
+const auto kFlat = [](float, float) { return 0.0; };
+
+TEST(Measurement, UprightPlantOnFlatSoil) {
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(PlantTruth(), 1U);
+  const Phenotype p = measureOne(builder);
+  EXPECT_EQ(flagNames(p.flags), "ok");
+  EXPECT_EQ(p.revision, 7U);
+  EXPECT_TRUE(p.final);
+  EXPECT_NEAR(p.height.value, 2.0, 0.015);
+  EXPECT_GE(p.height.stddev, 0.004);
+  EXPECT_LT(p.height.stddev, 0.02);
+  EXPECT_NEAR(p.stem_diameter.value, 0.020, 0.0015);
+  EXPECT_NEAR(p.stem_diameter_minor.value, 0.017, 0.0015);
+  EXPECT_NEAR(p.stem_diameter_equivalent.value, std::sqrt(0.020 * 0.017), 0.0010);
+  EXPECT_GT(p.stem_diameter.stddev, 0.0);
+  EXPECT_LT(p.stem_diameter.stddev, 0.002);
+  EXPECT_DOUBLE_EQ(p.diameter_height, 0.7);
+  EXPECT_NEAR(p.lean.value, 0.0, 1e-6);
+  EXPECT_GT(p.lean.stddev, 0.0);
+  EXPECT_GT(p.arc_coverage, 0.95);
+  EXPECT_GT(p.completeness, 0.8);
+  EXPECT_EQ(p.stem_points, p.plant_points);
+  EXPECT_GT(p.diameter_points, 200U);
+  EXPECT_TRUE(std::isnan(p.spacing.value));
+}
+
+TEST(Measurement, DiametersOfManyPlantsWithinThreeMillimetres) {
+  double squares = 0.0;
+  int covered = 0;
+  constexpr int kPlants = 60;
+  for (std::uint32_t seed = 0; seed < kPlants; ++seed) {
+    std::mt19937 engine(seed + 1000U);
+    std::uniform_real_distribution<double> uniform;
+    PlantTruth truth;
+    truth.diameter = 0.016 + 0.010 * uniform(engine);
+    truth.axis_ratio = 0.80 + 0.15 * uniform(engine);
+    truth.angle = M_PI * uniform(engine);
+    truth.lean = 10.0 * kDegree * uniform(engine);
+    truth.points_per_meter = 300;  // 45 in the span
+    BlockBuilder builder;
+    builder.soil(kFlat).plant(truth, seed);
+    const Phenotype p = measureOne(builder);
+    ASSERT_TRUE(std::isfinite(p.stem_diameter.value)) << flagNames(p.flags);
+    const double error = p.stem_diameter.value - truth.diameter;
+    squares += error * error;
+    covered += std::abs(error) < 1.96 * p.stem_diameter.stddev ? 1 : 0;
+  }
+  std::printf("45 points, noise 3 mm: RMSE %.2f mm, coverage %.2f\n",
+              1e3 * std::sqrt(squares / kPlants), static_cast<double>(covered) / kPlants);
+  EXPECT_LT(std::sqrt(squares / kPlants), 0.0020);
+  EXPECT_GE(covered, 50);
+}
+
+TEST(Measurement, LeaningPlantIsCutAcrossItsAxis) {
+  PlantTruth truth;
+  truth.lean = 15.0 * kDegree;
+  truth.noise = 0.001;
+  truth.angle = 0.0;
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(truth, 2U);
+  const Phenotype p = measureOne(builder);
+  EXPECT_NEAR(p.lean.value, truth.lean, 2.0 * p.lean.stddev);
+  EXPECT_NEAR(p.lean_azimuth, 0.0, 1e-3);
+  EXPECT_NEAR(p.axis.x(), std::sin(truth.lean), 1e-3);
+  EXPECT_NEAR(p.stem_diameter.value, truth.diameter, 5e-4);
+  EXPECT_NEAR(p.height.value, truth.stem_length * std::cos(truth.lean), 0.012);
+}
+
+TEST(Measurement, HeightIsVerticalFromTheSoilAtTheBase) {
+  const auto slope = [](float x, float y) { return 0.2 * x - 0.1 * y + 0.3; };
+  const auto ridges = [](float x, float) { return x > 0.75F && x < 1.25F ? 0.12 : 0.0; };
+  for (int kind = 0; kind < 2; ++kind) {
+    BlockBuilder builder;
+    if (kind == 0) {
+      builder.soil(slope);
+    } else {
+      builder.soil(ridges);
+    }
+    builder.plant(PlantTruth(), 3U);
+    // A leaf whose tip hangs far out, lower than the top, over lower soil.
+    builder.organ({{1.4, 1.0, 1.2}, {1.5, 1.0, 1.1}});
+    const Phenotype p = measureOne(builder);
+    EXPECT_NEAR(p.height.value, 2.0, 0.015) << kind;
+    EXPECT_EQ(p.flags & (kGroundMissing | kGroundExtrapolated), 0U);
+  }
+}
+
+TEST(Measurement, TopOfAnyOrganCountsAndSparseTipsAreUncertain) {
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(PlantTruth(), 4U);
+  // A tassel of 2.3 m, a return every 4 cm.
+  builder.organ({{1, 1, 2.04},
+                 {1, 1, 2.08},
+                 {1, 1, 2.12},
+                 {1, 1, 2.16},
+                 {1, 1, 2.20},
+                 {1, 1, 2.24},
+                 {1, 1, 2.28}});
+  const Phenotype p = measureOne(builder);
+  EXPECT_NEAR(p.height.value, 2.3, 0.025);
+  EXPECT_GT(p.height.stddev, 0.03);
+  MeasurementParameters paper;
+  paper.mode = "paper";
+  EXPECT_NEAR(measureOne(builder, paper).height.value, 2.28, 1e-3);
+}
+
+TEST(Measurement, MissingSoilIsFlagged) {
+  BlockBuilder missing;
+  missing.soil(kFlat, 0.004F, false, false).plant(PlantTruth(), 5U);
+  missing.block().plants[0].base.z() = 0.05F;
+  const Phenotype cropped = measureOne(missing);
+  EXPECT_TRUE(cropped.flags & kGroundMissing);
+  EXPECT_NEAR(cropped.height.value, 2.0, 0.02);
+  EXPECT_GT(cropped.height.stddev, 0.0);
+
+  BlockBuilder unseen;
+  unseen.soil(kFlat, 0.05F, false, true).plant(PlantTruth(), 5U);
+  const Phenotype extrapolated = measureOne(unseen);
+  EXPECT_TRUE(extrapolated.flags & kGroundExtrapolated);
+  EXPECT_GE(extrapolated.height.stddev, 0.05);
+}
+
+TEST(Measurement, TooFewPointsGiveNoDiameterButAReason) {
+  PlantTruth truth;
+  truth.points_per_meter = 20;
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(truth, 6U);
+  const Phenotype p = measureOne(builder);
+  EXPECT_TRUE(std::isnan(p.stem_diameter.value));
+  EXPECT_TRUE(std::isnan(p.stem_diameter.stddev));
+  EXPECT_TRUE(p.flags & kTooFewPoints);
+  EXPECT_TRUE(std::isfinite(p.height.value));
+}
+
+TEST(Measurement, PlantWithoutStemOrPointsIsReportedEmpty) {
+  BlockBuilder builder;
+  builder.soil(kFlat);
+  Plant plant;
+  plant.base = {1.0F, 1.0F, 0.0F};
+  builder.block().plants.push_back(plant);
+  const Phenotype p = measureOne(builder);
+  EXPECT_TRUE(std::isnan(p.height.value));
+  EXPECT_TRUE(std::isnan(p.stem_diameter.value));
+  EXPECT_TRUE(std::isnan(p.lean.value));
+  EXPECT_TRUE(std::isnan(p.completeness));
+  EXPECT_TRUE(p.flags & kTooFewPoints);
+  EXPECT_TRUE(p.flags & kLowConfidence);
+}
+
+TEST(Measurement, HiddenMeasuringHeightIsShiftedAndSaysSo) {
+  PlantTruth truth;
+  truth.gap_low = 0.45;
+  truth.gap_high = 0.95;
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(truth, 7U);
+  const Phenotype p = measureOne(builder);
+  EXPECT_TRUE(p.flags & kHeightShifted);
+  EXPECT_DOUBLE_EQ(p.diameter_height, 0.7);
+  EXPECT_NEAR(p.stem_diameter.value, truth.diameter, 0.003);
+}
+
+TEST(Measurement, ShortStemsAreMeasuredLower) {
+  PlantTruth truth;
+  truth.stem_length = 0.5;
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(truth, 8U);
+  const Phenotype p = measureOne(builder);
+  EXPECT_TRUE(p.flags & kShortStem);
+  EXPECT_NEAR(p.diameter_height, 0.2, 1e-6);
+}
+
+TEST(Measurement, FarFromTheOriginChangesNothing) {
+  BlockBuilder near;
+  near.soil(kFlat).plant(PlantTruth(), 9U);
+  BlockBuilder far;
+  const Eigen::Vector3d origin(448000.0, 5411000.0, 90.0);
+  far.origin(origin).soil(kFlat).plant(PlantTruth(), 9U);
+  const Phenotype a = measureOne(near);
+  const Phenotype b = measureOne(far);
+  EXPECT_EQ(a.stem_diameter.value, b.stem_diameter.value);
+  EXPECT_EQ(a.height.value, b.height.value);
+  EXPECT_NEAR((b.base - a.base - origin).norm(), 0.0, 1e-6);
+  EXPECT_EQ(a.flags, b.flags);
+}
+
+TEST(Measurement, ThreadCountChangesNothing) {
+  BlockBuilder builder;
+  builder.soil(kFlat);
+  for (std::uint32_t i = 0; i < 8U; ++i) {
+    PlantTruth truth;
+    truth.base = {0.2 + 0.2 * i, 1.0};
+    builder.plant(truth, i, i != 3U);
+  }
+  const auto run = [&](int threads) {
+    const ThreadLimit limit(threads);
+    return measureBlock(builder.completed(), MeasurementParameters());
+  };
+  const std::vector<Phenotype> one = run(1);
+  const std::vector<Phenotype> many = run(4);
+  ASSERT_EQ(one.size(), 7U);  // the plant of another block is not reported
+  for (std::size_t i = 0; i < one.size(); ++i) {
+    EXPECT_EQ(one[i].id, many[i].id);
+    EXPECT_EQ(one[i].stem_diameter.value, many[i].stem_diameter.value);
+    EXPECT_EQ(one[i].stem_diameter.stddev, many[i].stem_diameter.stddev);
+    EXPECT_EQ(one[i].height.value, many[i].height.value);
+  }
+}
+
+TEST(Measurement, BorderAndWeakEvidenceAreFlagged) {
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(PlantTruth(), 10U);
+  builder.organ({{2.595, 1.0, 1.0}});  // tile [0, 2) and a margin of 0.6
+  builder.block().plants[0].growth.quality = 0.1F;
+  const Phenotype p = measureOne(builder);
+  EXPECT_EQ(flagNames(p.flags), "truncated|low_confidence");
+}
+
+TEST(RowSpacing, NextPlantAlongTheRowWhateverItsDirection) {
+  for (const double azimuth : {0.0, 35.0, 90.0, 150.0}) {
+    BlockBuilder builder;
+    builder.soil(kFlat);
+    const Eigen::Vector2d along(std::cos(azimuth * kDegree), std::sin(azimuth * kDegree));
+    const Eigen::Vector2d across(-along.y(), along.x());
+    for (int row = 0; row < 2; ++row) {
+      for (int i = 0; i < 6; ++i) {
+        if (row == 0 && i == 2) continue;  // a gap
+        PlantTruth truth;
+        truth.points_per_meter = 10;
+        truth.base = 0.2 * i * along + 0.75 * row * across;
+        builder.plant(truth, 1U, row == 0);
+      }
+    }
+    const std::vector<Trait> spacing = measureRowSpacing(builder.block());
+    // Rows at 150 degrees run towards positive x the other way round.
+    const bool reversed = azimuth > 135.0;
+    const double nan = std::numeric_limits<double>::quiet_NaN();
+    const std::vector<double> expected = reversed ? std::vector<double>{nan, 0.2, 0.4, 0.2, 0.2}
+                                                  : std::vector<double>{0.2, 0.4, 0.2, 0.2, nan};
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+      if (std::isnan(expected[i])) {
+        EXPECT_TRUE(std::isnan(spacing[i].value)) << azimuth << " " << i;
+      } else {
+        EXPECT_NEAR(spacing[i].value, expected[i], 1e-5) << azimuth << " " << i;
+        EXPECT_GT(spacing[i].stddev, 0.0);
+      }
+    }
+  }
+}
+
+TEST(RowSpacing, NoneWithoutARow) {
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(PlantTruth(), 1U);
+  EXPECT_TRUE(std::isnan(measureRowSpacing(builder.block())[0].value));
+}
+
+TEST(Coverage, ArcHasGapsTakenOut) {
+  std::vector<double> half;
+  for (int i = 0; i <= 18; ++i) half.push_back(i * 10.0 * kDegree);
+  EXPECT_NEAR(arcCoverage(half), 0.5, 1e-9);
+  half.push_back(270.0 * kDegree);  // one stray point does not close the gap
+  EXPECT_NEAR(arcCoverage(half), 0.5, 1e-9);
+  EXPECT_EQ(arcCoverage({}), 0.0);
+}
+
+TEST(Coverage, CompletenessFollowsTheMissingShare) {
+  PlantTruth truth;
+  truth.noise = 0.0;
+  truth.points_per_meter = 20000;
+  truth.gap_low = 0.5;
+  truth.gap_high = 1.0;
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(truth, 11U);
+  EXPECT_NEAR(stemCompleteness(builder.block(), builder.block().plants[0]), 0.75, 0.01);
+}
+
+TEST(PaperMode, DiameterByEq27AsPrinted) {
+  PlantTruth truth;
+  truth.noise = 0.0005;
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(truth, 12U);
+  MeasurementParameters paper;
+  paper.mode = "paper";
+  const Phenotype p = measureOne(builder, paper);
+  EXPECT_NEAR(p.stem_diameter.value, truth.diameter, 6e-4);
+  EXPECT_GT(p.stem_diameter.value, truth.diameter);
+  EXPECT_GT(p.stem_diameter.stddev, 0.0);
+}
+
+TEST(Flags, HaveNames) {
+  EXPECT_EQ(flagNames(kOk), "ok");
+  EXPECT_EQ(flagNames(kTooFewPoints | kPriorDriven), "too_few_points|prior_driven");
+}
+
+}  // namespace
+}  // namespace field_phenotyping

@@ -1,0 +1,416 @@
+// Scans in, blocks out: what is due when, what is forgotten, what becomes of every point.
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <set>
+
+#include "field_phenotyping/preprocessing/preprocessor.hpp"
+#include "test_scene.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+using testing::PlantTruth;
+using testing::Scene;
+
+constexpr std::uint64_t kSecond = 1000000000U;
+constexpr std::uint64_t kStart = 1700000000U * kSecond;
+
+PreprocessingParameters unlimitedRange() {
+  PreprocessingParameters parameters;
+  parameters.min_range = 0.0;
+  parameters.max_range = 1000.0;
+  return parameters;
+}
+
+/// A patch of soil, one voxel every `step` [m], in the sensor's frame.
+Scan patch(double low_x, double high_x, std::uint64_t stamp, double step = 0.05, double z = -1.0) {
+  Scan scan;
+  scan.stamp_ns = stamp;
+  for (double x = low_x + 0.5 * step; x < high_x; x += step) {
+    for (double y = 0.5 * step; y < 2.0; y += step) {
+      scan.cloud.points.emplace_back(static_cast<float>(x), static_cast<float>(y),
+                                     static_cast<float>(z));
+    }
+  }
+  return scan;
+}
+
+bool isDue(const Preprocessor& preprocessor, const BlockIndex& index, bool flush = false) {
+  const auto due = preprocessor.dueBlocks(flush);
+  return std::find(due.begin(), due.end(), index) != due.end();
+}
+
+void handOn(Preprocessor& preprocessor, const BlockIndex& index, bool flush = false) {
+  preprocessor.markHandedOn(preprocessor.makeBlock(index, flush).header);
+}
+
+const Eigen::Isometry3d kIdentity = Eigen::Isometry3d::Identity();
+
+Scene smallField(unsigned seed = 1U) {
+  Scene scene(testing::slopingSoil(4.0), seed);
+  scene.addSoil({-1.5, -1.5}, {3.5, 3.5}, 1500.0);
+  for (const Eigen::Vector2d& base :
+       {Eigen::Vector2d(0.4, 0.4), Eigen::Vector2d(1.2, 0.5), Eigen::Vector2d(1.98, 1.3)}) {
+    PlantTruth plant;
+    plant.base = base;
+    scene.addPlant(plant);
+  }
+  return scene;
+}
+
+TEST(Preprocessor, SameBlockWhateverTheSplitInScans) {
+  const Scene scene = smallField();
+  Preprocessor whole(unlimitedRange(), "map");
+  Scan all;
+  all.cloud = scene.cloud;
+  all.stamp_ns = kStart;
+  whole.addScan(all, kIdentity);
+  const Block expected = whole.makeBlock({0, 0}, true);
+  ASSERT_GT(expected.cloud.size(), 1000U);
+  ASSERT_GT(expected.ground_points, 1000U);
+
+  for (const std::size_t parts : {2U, 17U, 200U}) {
+    Preprocessor streaming(unlimitedRange(), "map");
+    std::size_t used = 0U;
+    for (std::size_t part = 0; part < parts; ++part) {
+      Scan scan;
+      scan.stamp_ns = kStart;
+      const std::size_t begin = scene.cloud.size() * part / parts;
+      const std::size_t end = scene.cloud.size() * (part + 1U) / parts;
+      for (std::size_t i = begin; i < end; ++i) scan.cloud.points.push_back(scene.cloud.points[i]);
+      used += streaming.addScan(scan, kIdentity).used;
+    }
+    EXPECT_EQ(used, scene.cloud.size());
+    EXPECT_EQ(streaming.voxels(), whole.voxels());
+    const Block block = streaming.makeBlock({0, 0}, true);
+    EXPECT_EQ(block.ground_points, expected.ground_points);
+    ASSERT_EQ(block.cloud.size(), expected.cloud.size()) << parts << " scans";
+    for (std::size_t i = 0; i < block.cloud.size(); ++i) {
+      ASSERT_EQ(block.cloud.points[i], expected.cloud.points[i]) << parts << " scans";
+    }
+  }
+}
+
+TEST(Preprocessor, ScansFromManyPosesMeetInTheMap) {
+  const Scene scene = smallField();
+  Preprocessor whole(unlimitedRange(), "map");
+  Scan all;
+  all.cloud = scene.cloud;
+  all.stamp_ns = kStart;
+  whole.addScan(all, kIdentity);
+  const Block expected = whole.makeBlock({0, 0}, true);
+
+  Preprocessor streaming(unlimitedRange(), "map");
+  constexpr std::size_t kScans = 40U;
+  for (std::size_t k = 0; k < kScans; ++k) {
+    Eigen::Isometry3d T_map_sensor = Eigen::Isometry3d::Identity();
+    T_map_sensor.translation() << -1.0 + 0.1 * static_cast<double>(k), -0.8, 1.1;
+    T_map_sensor.rotate(Eigen::AngleAxisd(0.15 * static_cast<double>(k), Eigen::Vector3d::UnitZ()) *
+                        Eigen::AngleAxisd(0.3, Eigen::Vector3d::UnitY()));
+    const Eigen::Isometry3d T_sensor_map = T_map_sensor.inverse();
+    Scan scan;
+    scan.stamp_ns = kStart + k * kSecond / 10U;
+    for (std::size_t i = k; i < scene.cloud.size(); i += kScans) {
+      scan.cloud.points.push_back(
+          (T_sensor_map * scene.cloud.points[i].cast<double>()).cast<float>());
+    }
+    streaming.addScan(scan, T_map_sensor);
+  }
+  const Block block = streaming.makeBlock({0, 0}, true);
+  EXPECT_NEAR(static_cast<double>(block.cloud.size()), static_cast<double>(expected.cloud.size()),
+              0.01 * static_cast<double>(expected.cloud.size()));
+  for (float x = -0.9F; x < 1.0F; x += 0.3F) {
+    EXPECT_NEAR(block.ground.heightAt(x, x), expected.ground.heightAt(x, x), 0.002F);
+  }
+}
+
+TEST(Preprocessor, BlockKnowsWhatItIs) {
+  Preprocessor preprocessor(unlimitedRange(), "field");
+  preprocessor.addScan(patch(-2.0, 4.0, kStart), kIdentity);
+  const Block block = preprocessor.makeBlock({-1, 0}, false);
+  EXPECT_EQ(block.header.frame_id, "field");
+  EXPECT_EQ(block.header.stamp_ns, kStart);
+  EXPECT_EQ(block.header.index, (BlockIndex{-1, 0}));
+  EXPECT_EQ(block.header.revision, 1U);
+  EXPECT_FALSE(block.header.final);
+  EXPECT_DOUBLE_EQ(block.header.tile_size, preprocessor.parameters().block_size);
+  EXPECT_DOUBLE_EQ(block.header.margin, preprocessor.parameters().block_margin);
+  EXPECT_TRUE(preprocessor.makeBlock({-1, 0}, true).header.final);
+  preprocessor.markHandedOn(block.header);
+  EXPECT_EQ(preprocessor.makeBlock({-1, 0}, false).header.revision, 2U);
+}
+
+TEST(Preprocessor, FarFromTheOriginAsAtIt) {
+  const Scene scene = smallField();
+  const Eigen::Vector3d far(500000.0, 4500000.0, 90.0);
+  Scan scan;
+  scan.cloud = scene.cloud;
+  scan.stamp_ns = kStart;
+  Preprocessor near_map(unlimitedRange(), "map");
+  near_map.addScan(scan, kIdentity);
+  Eigen::Isometry3d T_map_sensor = Eigen::Isometry3d::Identity();
+  T_map_sensor.translation() = far;
+  Preprocessor far_map(unlimitedRange(), "map");
+  far_map.addScan(scan, T_map_sensor);
+
+  const auto near_due = near_map.dueBlocks(true);
+  const auto far_due = far_map.dueBlocks(true);
+  ASSERT_EQ(near_due.size(), far_due.size());
+  ASSERT_GE(near_due.size(), 9U);
+  for (std::size_t b = 0; b < near_due.size(); ++b) {
+    EXPECT_EQ(far_due[b].x, near_due[b].x + 250000);
+    EXPECT_EQ(far_due[b].y, near_due[b].y + 2250000);
+    const Block near_block = near_map.makeBlock(near_due[b], true);
+    const Block far_block = far_map.makeBlock(far_due[b], true);
+    EXPECT_LT((far_block.cloud.origin - far - near_block.cloud.origin).norm(), 1e-6);
+    // The sum with the far origin rounds to 1 nm, which may move a point into the next voxel.
+    const auto size = static_cast<double>(near_block.cloud.size());
+    EXPECT_NEAR(static_cast<double>(far_block.cloud.size()), size, 2.0 + 0.005 * size);
+    for (float x = -0.9F; x < 1.0F; x += 0.3F) {
+      EXPECT_NEAR(far_block.ground.heightAt(x, -x), near_block.ground.heightAt(x, -x), 1e-3F);
+    }
+  }
+}
+
+TEST(Preprocessor, EveryPointIsAccountedFor) {
+  PreprocessingParameters parameters;
+  parameters.min_range = 0.5;
+  parameters.max_range = 10.0;
+  parameters.min_x = -100.0;
+  parameters.max_x = 6.0;
+  parameters.min_z = -0.5;
+  Preprocessor preprocessor(parameters, "map");
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  const float infinity = std::numeric_limits<float>::infinity();
+  Scan scan;
+  scan.stamp_ns = kStart;
+  scan.cloud.points = {
+      {1.0F, 0.0F, 0.0F},                                              // used
+      {0.3F, 0.0F, 0.0F},                                              // too near
+      {0.0F, 11.0F, 0.0F},                                             // too far
+      {9.0F, 0.0F, 0.0F},                                              // outside the crop box
+      {2.0F, 0.0F, -1.0F},                                             // below the crop box
+      {nan, 0.0F, 0.0F},   {0.0F, nan, 1.0F}, {1.0F, 1.0F, infinity},  // not finite
+      {-4.0F, 5.0F, 1.0F},                                             // used
+  };
+  const ScanReport report = preprocessor.addScan(scan, kIdentity);
+  EXPECT_EQ(report.points, 9U);
+  EXPECT_EQ(report.used, 2U);
+  EXPECT_EQ(report.out_of_range, 4U);
+  EXPECT_EQ(report.non_finite, 3U);
+  EXPECT_EQ(preprocessor.voxels(), 2U);
+
+  // The crop box is in the map's frame, the range in the sensor's.
+  Eigen::Isometry3d T_map_sensor = Eigen::Isometry3d::Identity();
+  T_map_sensor.translation() << -50.0, 0.0, 0.0;
+  scan.cloud.points = {{9.0F, 0.0F, 0.0F}, {-9.0F, 0.0F, 0.0F}, {11.0F, 0.0F, 0.0F}};
+  EXPECT_EQ(preprocessor.addScan(scan, T_map_sensor).used, 2U);
+}
+
+TEST(Preprocessor, EmptyAndUselessScans) {
+  Preprocessor preprocessor(PreprocessingParameters(), "map");
+  EXPECT_EQ(preprocessor.addScan(Scan(), kIdentity).points, 0U);
+  Scan scan;
+  scan.stamp_ns = kStart;
+  scan.cloud.points.assign(100U, Eigen::Vector3f::Constant(std::nanf("")));
+  EXPECT_EQ(preprocessor.addScan(scan, kIdentity).non_finite, 100U);
+  EXPECT_EQ(preprocessor.openTiles(), 0U);
+  EXPECT_TRUE(preprocessor.dueBlocks(false).empty());
+  EXPECT_TRUE(preprocessor.dueBlocks(true).empty());
+  const Block block = preprocessor.makeBlock({0, 0}, true);
+  EXPECT_TRUE(block.cloud.empty());
+  EXPECT_TRUE(block.ground.empty());
+}
+
+TEST(Preprocessor, DueWhenChangedEnoughAndNotTooSoon) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.update_period = 2.0;
+  parameters.update_min_change = 0.15;
+  parameters.final_after = 1000.0;
+  Preprocessor preprocessor(parameters, "map");
+  const BlockIndex index{0, 0};
+  preprocessor.addScan(patch(0.2, 1.2, kStart), kIdentity);
+  EXPECT_TRUE(isDue(preprocessor, index)) << "the first view is worth working at once";
+  handOn(preprocessor, index);
+  EXPECT_FALSE(isDue(preprocessor, index));
+
+  preprocessor.addScan(patch(0.2, 1.2, kStart + 3U * kSecond), kIdentity);
+  EXPECT_FALSE(isDue(preprocessor, index)) << "the same voxels again";
+  EXPECT_TRUE(isDue(preprocessor, index, true)) << "but their centroids may have moved";
+
+  preprocessor.addScan(patch(1.2, 1.3, kStart + 3U * kSecond), kIdentity);
+  EXPECT_FALSE(isDue(preprocessor, index)) << "10 % new voxels are not worth it";
+  preprocessor.addScan(patch(1.3, 1.5, kStart + 3U * kSecond), kIdentity);
+  EXPECT_TRUE(isDue(preprocessor, index)) << "30 % are";
+  handOn(preprocessor, index);
+
+  preprocessor.addScan(patch(1.5, 1.9, kStart + 4U * kSecond), kIdentity);
+  EXPECT_FALSE(isDue(preprocessor, index)) << "handed on a second ago";
+  preprocessor.addScan(patch(1.8, 1.9, kStart + 5U * kSecond + kSecond / 10U), kIdentity);
+  EXPECT_TRUE(isDue(preprocessor, index));
+}
+
+TEST(Preprocessor, FinalWhenNoScanReachesItAnyMore) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.final_after = 5.0;
+  parameters.final_distance = 20.0;
+  Preprocessor preprocessor(parameters, "map");
+  const BlockIndex index{0, 0};
+  preprocessor.addScan(patch(0.2, 1.2, kStart), kIdentity);
+  handOn(preprocessor, index);
+  preprocessor.addScan(patch(10.0, 11.0, kStart + 4U * kSecond), kIdentity);
+  EXPECT_FALSE(isDue(preprocessor, index));
+  preprocessor.addScan(patch(10.0, 11.0, kStart + 6U * kSecond), kIdentity);
+  EXPECT_TRUE(isDue(preprocessor, index)) << "to be said final";
+  EXPECT_TRUE(preprocessor.makeBlock(index, false).header.final);
+  handOn(preprocessor, index);
+  EXPECT_FALSE(isDue(preprocessor, index));
+  EXPECT_FALSE(isDue(preprocessor, index, true)) << "final and unchanged: said already";
+  EXPECT_EQ(preprocessor.openTiles(), 2U) << "kept: the sensor is near";
+
+  // Seen again: no longer final.
+  preprocessor.addScan(patch(1.2, 1.9, kStart + 9U * kSecond), kIdentity);
+  EXPECT_TRUE(isDue(preprocessor, index));
+  const Block again = preprocessor.makeBlock(index, false);
+  EXPECT_FALSE(again.header.final);
+  EXPECT_EQ(again.header.revision, 3U);
+}
+
+TEST(Preprocessor, AMarginThatChangesKeepsItsBlocksOpen) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.final_after = 5.0;
+  parameters.block_margin = 0.6;
+  Preprocessor preprocessor(parameters, "map");
+  preprocessor.addScan(patch(0.2, 1.2, kStart), kIdentity);
+  // 0.5 m beyond the border is in the margin, 0.7 m is not.
+  preprocessor.addScan(patch(2.4, 2.5, kStart + 4U * kSecond), kIdentity);
+  preprocessor.addScan(patch(2.7, 2.8, kStart + 8U * kSecond), kIdentity);
+  EXPECT_FALSE(preprocessor.makeBlock({0, 0}, false).header.final) << "touched 4 s ago";
+  preprocessor.addScan(patch(2.7, 2.8, kStart + 10U * kSecond), kIdentity);
+  EXPECT_TRUE(preprocessor.makeBlock({0, 0}, false).header.final);
+}
+
+TEST(Preprocessor, ForgetsFinalTilesFarBehind) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.final_after = 2.0;
+  parameters.final_distance = 10.0;
+  Preprocessor preprocessor(parameters, "map");
+  std::size_t most_tiles = 0U;
+  std::size_t most_voxels = 0U;
+  std::set<BlockIndex> said_final;
+  for (int second = 0; second < 200; ++second) {
+    const double x = second;  // 1 m/s
+    preprocessor.addScan(
+        patch(x - 1.0, x + 1.0, kStart + static_cast<std::uint64_t>(second) * kSecond), kIdentity);
+    for (const BlockIndex& index : preprocessor.dueBlocks(false)) {
+      const Block block = preprocessor.makeBlock(index, false);
+      if (block.header.final) {
+        EXPECT_TRUE(said_final.insert(index).second) << "said final twice: " << index.x;
+      }
+      preprocessor.markHandedOn(block.header);
+    }
+    most_tiles = std::max(most_tiles, preprocessor.openTiles());
+    most_voxels = std::max(most_voxels, preprocessor.voxels());
+  }
+  EXPECT_LT(most_tiles, 12U) << "memory follows the blocks still open";
+  EXPECT_LT(most_voxels, 12U * 1600U);
+  EXPECT_GT(said_final.size(), 90U) << "and every tile was finished once";
+  EXPECT_EQ(preprocessor.makeBlock({0, 0}, true).cloud.size(), 0U);
+}
+
+TEST(Preprocessor, MemoryLimitFinishesTheOldestTiles) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.memory_limit = 10000.0;
+  parameters.final_after = 1000.0;
+  parameters.final_distance = 1000.0;
+  parameters.block_margin = 0.0;
+  Preprocessor preprocessor(parameters, "map");
+  for (int k = 0; k < 20; ++k) {
+    preprocessor.addScan(patch(2.0 * k, 2.0 * k + 2.0,
+                               kStart + static_cast<std::uint64_t>(k) * kSecond, 0.05),
+                         kIdentity);
+    for (const BlockIndex& index : preprocessor.dueBlocks(false)) {
+      const Block block = preprocessor.makeBlock(index, false);
+      if (block.header.final) {
+        EXPECT_LT(index.x, k - 3) << "the oldest are given up";
+      }
+      preprocessor.markHandedOn(block.header);
+    }
+    EXPECT_LE(preprocessor.voxels(), 10000U);
+  }
+  EXPECT_LE(preprocessor.openTiles(), 7U);
+  EXPECT_GE(preprocessor.openTiles(), 4U);
+}
+
+TEST(Preprocessor, NewGridEmptiesTheMapOtherParametersDoNot) {
+  PreprocessingParameters parameters = unlimitedRange();
+  Preprocessor preprocessor(parameters, "map");
+  preprocessor.addScan(patch(0.2, 1.2, kStart), kIdentity);
+  const std::size_t voxels = preprocessor.voxels();
+  ASSERT_GT(voxels, 0U);
+  parameters.max_range = 0.1;
+  parameters.min_range = 0.0;
+  EXPECT_FALSE(preprocessor.setParameters(parameters));
+  EXPECT_EQ(preprocessor.voxels(), voxels);
+  EXPECT_EQ(preprocessor.addScan(patch(0.2, 1.2, kStart), kIdentity).used, 0U)
+      << "holds for further scans";
+  parameters.max_range = 1000.0;
+  parameters.voxel_size = 0.02;
+  EXPECT_TRUE(preprocessor.setParameters(parameters));
+  EXPECT_EQ(preprocessor.voxels(), 0U);
+  EXPECT_EQ(preprocessor.openTiles(), 0U);
+  preprocessor.addScan(patch(0.2, 1.2, kStart), kIdentity);
+  parameters.block_size = 4.0;
+  EXPECT_TRUE(preprocessor.setParameters(parameters));
+  EXPECT_EQ(preprocessor.voxels(), 0U);
+  preprocessor.addScan(patch(0.2, 3.9, kStart), kIdentity);
+  EXPECT_EQ(preprocessor.openTiles(), 1U);
+}
+
+TEST(Preprocessor, ResetForgetsEverything) {
+  Preprocessor preprocessor(unlimitedRange(), "map");
+  preprocessor.addScan(patch(0.2, 5.0, kStart, 0.05, 40.0), kIdentity);
+  preprocessor.reset();
+  EXPECT_EQ(preprocessor.voxels(), 0U);
+  EXPECT_EQ(preprocessor.openTiles(), 0U);
+  EXPECT_TRUE(preprocessor.dueBlocks(true).empty());
+  // Time may start anew, and so may the height datum.
+  preprocessor.addScan(patch(0.2, 1.2, 5U * kSecond, 0.05, -7.5), kIdentity);
+  const Block block = preprocessor.makeBlock({0, 0}, true);
+  EXPECT_EQ(block.header.stamp_ns, 5U * kSecond);
+  EXPECT_EQ(block.header.revision, 1U);
+  EXPECT_NEAR(block.cloud.origin.z(), -8.0, 1e-9);
+}
+
+TEST(Preprocessor, ColoursTravelWithTheirPoints) {
+  Preprocessor preprocessor(unlimitedRange(), "map");
+  Scan scan;
+  scan.stamp_ns = kStart;
+  Scene scene(testing::levelSoil(), 3U);
+  scene.addSoil({0.0, 0.0}, {2.0, 2.0}, 1000.0);
+  PlantTruth plant;
+  plant.base = {1.0, 1.0};
+  scene.addPlant(plant);
+  scan.cloud = scene.cloud;
+  for (const testing::PointTruth& truth : scene.truth) {
+    scan.cloud.colors.push_back(truth.soil ? 0x806040U : 0x20A010U);
+  }
+  preprocessor.addScan(scan, kIdentity);
+  const Block block = preprocessor.makeBlock({0, 0}, true);
+  ASSERT_EQ(block.cloud.colors.size(), block.cloud.size());
+  std::size_t green = 0U;
+  for (std::size_t i = 0; i < block.cloud.size(); ++i) {
+    if (block.ground.heightAbove(block.cloud.points[i]) < 0.1F) continue;
+    ASSERT_EQ(block.cloud.colors[i], 0x20A010U);
+    ++green;
+  }
+  EXPECT_GT(green, 500U);
+}
+
+}  // namespace
+}  // namespace field_phenotyping

@@ -1,0 +1,518 @@
+// Whole blocks of synthetic plants, whose every point is known: seeds, stems, organs.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <numeric>
+#include <random>
+
+#include "field_phenotyping/segmentation/organ_assignment.hpp"
+#include "field_phenotyping/segmentation/plant_registry.hpp"
+#include "field_phenotyping/segmentation/segmentation.hpp"
+#include "field_phenotyping/segmentation/stem_seeds.hpp"
+#include "test_scene.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+using testing::BaseMatches;
+using testing::basesOf;
+using testing::blockOf;
+using testing::kDegree;
+using testing::matchBases;
+using testing::PlantTruth;
+using testing::Scene;
+using testing::scoreStems;
+using testing::Soil;
+using testing::StemScore;
+
+/// What segmentBlock() made of a scene.
+struct Outcome {
+  SegmentedBlock block;
+  BaseMatches matches;
+  std::size_t missed = 0U;
+  std::size_t false_plants = 0U;
+  StemScore stems;
+  double plant_accuracy = 0.0;  // share of plant points given to the right plant
+};
+
+Outcome segment(const Scene& scene, const Soil& soil,
+                const SegmentationParameters& parameters = {}) {
+  std::vector<std::size_t> source;
+  const Block block = blockOf(scene, soil, &source);
+  Outcome outcome;
+  outcome.block = segmentBlock(block, parameters);
+  outcome.matches = matchBases(basesOf(scene), basesOf(outcome.block));
+  outcome.missed = scene.plants.size() - outcome.matches.pairs.size();
+  outcome.false_plants = outcome.block.plants.size() - outcome.matches.pairs.size();
+
+  std::vector<int> truth_of(outcome.block.plants.size(), -2);  // -2: a plant that is none
+  for (const auto& [truth, found] : outcome.matches.pairs) {
+    truth_of[found] = static_cast<int>(truth);
+  }
+  std::vector<bool> truly(source.size());
+  std::vector<bool> claimed(source.size(), false);
+  std::vector<int> given(source.size(), -1);
+  for (std::size_t i = 0; i < source.size(); ++i) truly[i] = scene.truth[source[i]].stem;
+  for (std::size_t p = 0; p < outcome.block.plants.size(); ++p) {
+    const Plant& plant = outcome.block.plants[p];
+    for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
+      given[outcome.block.source_index[i]] = truth_of[p];
+      claimed[outcome.block.source_index[i]] = i < plant.stem.end;
+    }
+  }
+  outcome.stems = scoreStems(truly, claimed);
+  double right = 0.0, all = 0.0;
+  for (std::size_t i = 0; i < source.size(); ++i) {
+    if (scene.truth[source[i]].plant < 0) continue;
+    all += 1.0;
+    right += given[i] == scene.truth[source[i]].plant ? 1.0 : 0.0;
+  }
+  outcome.plant_accuracy = right / std::max(all, 1.0);
+  return outcome;
+}
+
+void report(const char* name, const Outcome& outcome) {
+  std::printf("%-28s missed %zu, false %zu, base within %.4f m, stem F1 %.3f, plant accuracy %.3f\n",
+              name, outcome.missed, outcome.false_plants, outcome.matches.worst, outcome.stems.f1,
+              outcome.plant_accuracy);
+}
+
+/// What must hold of any segmented block.
+void expectConsistent(const Block& block, const SegmentedBlock& out) {
+  ASSERT_EQ(out.cloud.size(), block.cloud.size());
+  ASSERT_EQ(out.source_index.size(), block.cloud.size());
+  std::vector<int> seen(block.cloud.size(), 0);
+  for (std::size_t i = 0; i < out.cloud.size(); ++i) {
+    ++seen[out.source_index[i]];
+    ASSERT_EQ(out.cloud.points[i], block.cloud.points[out.source_index[i]]);
+  }
+  EXPECT_EQ(std::count(seen.begin(), seen.end(), 1), static_cast<std::ptrdiff_t>(seen.size()))
+      << "every point once";
+  EXPECT_EQ(out.cloud.origin, block.cloud.origin);
+  EXPECT_EQ(out.header.index, block.header.index);
+  EXPECT_EQ(out.header.revision, block.header.revision);
+  std::uint32_t next = 0U;
+  for (const Plant& plant : out.plants) {
+    EXPECT_EQ(plant.id, -1);
+    EXPECT_EQ(plant.points.begin, next) << "plants lie one behind the other";
+    EXPECT_EQ(plant.stem.begin, plant.points.begin);
+    EXPECT_LE(plant.stem.end, plant.points.end);
+    EXPECT_GT(plant.stem.size(), 0U);
+    EXPECT_TRUE(plant.base.allFinite());
+    EXPECT_NEAR(out.ground.heightAbove(plant.base), 0.0F, 0.02F) << "the base is on the soil";
+    EXPECT_GE(plant.growth.quality, 0.0F);
+    EXPECT_LE(plant.growth.quality, 1.0F);
+    EXPECT_GT(plant.axis.length(), 0.0F);
+    next = plant.points.end;
+  }
+}
+
+void addRow(Scene& scene, double y, double spacing, double from = -0.8, double to = 0.81) {
+  for (double x = from; x < to; x += spacing) {
+    PlantTruth plant;
+    plant.base = {x, y};
+    scene.addPlant(plant);
+  }
+}
+
+TEST(Segmentation, PlantsOnLevelAndSlopingSoil) {
+  for (const double degrees : {0.0, 10.0, 20.0}) {
+    const Soil soil = testing::slopingSoil(degrees, 60.0);
+    Scene scene(soil, 1U);
+    addRow(scene, -0.4, 0.4);
+    addRow(scene, 0.4, 0.4);
+    const Outcome outcome = segment(scene, soil);
+    report(("slope " + std::to_string(static_cast<int>(degrees)) + " deg").c_str(), outcome);
+    EXPECT_EQ(outcome.missed, 0U);
+    EXPECT_EQ(outcome.false_plants, 0U);
+    EXPECT_LT(outcome.matches.worst, 0.015);
+    EXPECT_GT(outcome.stems.f1, 0.85);
+    EXPECT_GT(outcome.plant_accuracy, 0.9);
+    expectConsistent(blockOf(scene, soil), outcome.block);
+  }
+}
+
+TEST(Segmentation, LeaningPlants) {
+  Scene scene(testing::levelSoil(), 2U);
+  int k = 0;
+  for (const double y : {-0.6, 0.0, 0.6}) {
+    for (const double x : {-0.6, 0.0, 0.6}) {
+      PlantTruth plant;
+      plant.base = {x, y};
+      plant.lean = 20.0 * kDegree;
+      plant.azimuth = 40.0 * kDegree * k++;
+      plant.stem_length = 1.2;
+      scene.addPlant(plant);
+    }
+  }
+  const Outcome outcome = segment(scene, testing::levelSoil());
+  report("leaning 20 deg", outcome);
+  EXPECT_EQ(outcome.missed, 0U);
+  EXPECT_EQ(outcome.false_plants, 0U);
+  EXPECT_LT(outcome.matches.worst, 0.02);
+  EXPECT_GT(outcome.stems.f1, 0.8);
+  for (const auto& [truth, found] : outcome.matches.pairs) {
+    const Plant& plant = outcome.block.plants[found];
+    const Eigen::Vector3f along =
+        (plant.axis.pointAt(0.8F * plant.axis.length()) - plant.axis.pointAt(0.0F)).normalized();
+    const double azimuth = scene.plants[truth].azimuth;
+    const Eigen::Vector3d expected(std::sin(20.0 * kDegree) * std::cos(azimuth),
+                                   std::sin(20.0 * kDegree) * std::sin(azimuth),
+                                   std::cos(20.0 * kDegree));
+    EXPECT_GT(along.cast<double>().dot(expected), std::cos(3.0 * kDegree));
+  }
+}
+
+TEST(Segmentation, StemsWithGaps) {
+  Scene scene(testing::levelSoil(), 3U);
+  const double gaps[][2] = {{0.0, 0.15}, {0.3, 0.55}, {0.6, 0.9}, {0.2, 0.4}};
+  for (int k = 0; k < 4; ++k) {
+    PlantTruth plant;
+    plant.base = {-0.75 + 0.5 * k, 0.1};
+    plant.gap_low = gaps[k][0];
+    plant.gap_high = gaps[k][1];
+    scene.addPlant(plant);
+  }
+  const Outcome outcome = segment(scene, testing::levelSoil());
+  report("gaps", outcome);
+  EXPECT_EQ(outcome.missed, 0U);
+  EXPECT_EQ(outcome.false_plants, 0U) << "one stem in two pieces is one plant";
+  EXPECT_LT(outcome.matches.worst, 0.03);
+  for (const Plant& plant : outcome.block.plants) EXPECT_GT(plant.axis.length(), 1.2F);
+}
+
+TEST(Segmentation, TenCentimetreSpacing) {
+  Scene scene(testing::levelSoil(), 4U);
+  addRow(scene, 0.0, 0.10, -0.5, 0.51);
+  const Outcome outcome = segment(scene, testing::levelSoil());
+  report("10 cm spacing", outcome);
+  EXPECT_LE(outcome.missed, 1U);
+  EXPECT_EQ(outcome.false_plants, 0U);
+  EXPECT_GT(outcome.stems.f1, 0.75);
+}
+
+TEST(Segmentation, SparseNoisyAndThin) {
+  // A seedling's stem of 8 mm; few points; noise as large as half its radius.
+  Scene scene(testing::levelSoil(), 5U, 0.002);
+  for (const double x : {-0.6, -0.2, 0.2, 0.6}) {
+    PlantTruth plant;
+    plant.base = {x, 0.0};
+    plant.radius = 0.004;
+    plant.stem_length = 0.45;
+    plant.stem_points_per_metre = 600;
+    plant.leaves = 2;
+    scene.addPlant(plant);
+  }
+  const Outcome outcome = segment(scene, testing::levelSoil());
+  report("seedlings", outcome);
+  EXPECT_EQ(outcome.missed, 0U);
+  EXPECT_LE(outcome.false_plants, 1U);
+}
+
+TEST(Segmentation, WeedsAreNoPlants) {
+  Scene scene(testing::levelSoil(), 6U);
+  for (int k = 0; k < 25; ++k) {
+    scene.addWeed({-0.9 + 0.45 * (k % 5), -0.9 + 0.45 * (k / 5)}, 0.06 + 0.008 * k);
+  }
+  const Outcome outcome = segment(scene, testing::levelSoil());
+  report("weeds only", outcome);
+  EXPECT_LE(outcome.false_plants, 1U) << "at most 2 in 100";
+}
+
+TEST(Segmentation, WeedsBelongToNoPlant) {
+  Scene scene(testing::levelSoil(), 7U);
+  addRow(scene, 0.0, 0.5);
+  std::vector<Eigen::Vector2d> weeds;
+  for (int k = 0; k < 8; ++k) weeds.emplace_back(-0.8 + 0.22 * k, k % 2 == 0 ? 0.5 : -0.5);
+  for (const Eigen::Vector2d& weed : weeds) scene.addWeed(weed, 0.12);
+  std::vector<std::size_t> source;
+  const Block block = blockOf(scene, testing::levelSoil(), &source);
+  const SegmentedBlock out = segmentBlock(block, {});
+  double weed_points = 0.0, taken = 0.0;
+  for (const Plant& plant : out.plants) {
+    for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
+      taken += scene.truth[source[out.source_index[i]]].plant < 0 ? 1.0 : 0.0;
+    }
+  }
+  for (const std::size_t i : source) weed_points += scene.truth[i].plant < 0 ? 1.0 : 0.0;
+  std::printf("weed points given to plants: %.3f\n", taken / weed_points);
+  EXPECT_LT(taken, 0.1 * weed_points);
+}
+
+TEST(Segmentation, NoMoreStemPointsTheStricterMIs) {
+  Scene scene(testing::levelSoil(), 8U, 0.002);
+  addRow(scene, 0.0, 0.4);
+  const Block block = blockOf(scene, testing::levelSoil());
+  const auto stemPoints = [&](double M) {
+    SegmentationParameters parameters;
+    parameters.M = M;
+    std::size_t count = 0U;
+    for (const Plant& plant : segmentBlock(block, parameters).plants) count += plant.stem.size();
+    return count;
+  };
+  std::size_t most = std::numeric_limits<std::size_t>::max();
+  for (const double M : {0.2, 0.35, 0.5, 0.65, 0.8}) {
+    const std::size_t count = stemPoints(M);
+    std::printf("M %.2f: %zu stem points\n", M, count);
+    EXPECT_LE(count, most) << "M " << M;
+    most = count;
+  }
+  EXPECT_LT(most, stemPoints(0.2)) << "M matters";
+}
+
+TEST(Segmentation, EmptyBlock) {
+  Block block;
+  block.header.index = {3, -2};
+  block.header.revision = 5U;
+  const SegmentedBlock out = segmentBlock(block, {});
+  EXPECT_TRUE(out.plants.empty());
+  EXPECT_TRUE(out.cloud.empty());
+  EXPECT_EQ(out.header.index, block.header.index);
+  EXPECT_EQ(out.header.revision, 5U);
+}
+
+Block blockOfPoints(std::vector<Eigen::Vector3f> points) {
+  Block block;
+  block.cloud.points = std::move(points);
+  block.ground = testing::exactGround(testing::levelSoil());
+  return block;
+}
+
+TEST(Segmentation, SurvivesOddClouds) {
+  std::mt19937 random(9U);
+  std::uniform_real_distribution<float> unit(0.0F, 1.0F);
+  std::vector<Eigen::Vector3f> upright;
+  std::vector<Eigen::Vector3f> lying;
+  std::vector<Eigen::Vector3f> wall;
+  std::vector<Eigen::Vector3f> table;
+  std::vector<Eigen::Vector3f> cloud;
+  std::vector<Eigen::Vector3f> buried;
+  for (int k = 0; k < 2000; ++k) {
+    upright.emplace_back(0.0F, 0.0F, 1.5F * unit(random));
+    lying.emplace_back(2.0F * unit(random) - 1.0F, 0.0F, 0.3F);
+    wall.emplace_back(unit(random) - 0.5F, 0.0F, 1.5F * unit(random));
+    table.emplace_back(unit(random) - 0.5F, unit(random) - 0.5F, 0.7F);
+    cloud.emplace_back(unit(random) - 0.5F, unit(random) - 0.5F, 1.5F * unit(random));
+    buried.emplace_back(unit(random) - 0.5F, unit(random) - 0.5F, -unit(random));
+  }
+  const std::vector<Eigen::Vector3f> place(2000U, {0.1F, 0.2F, 0.6F});
+  const std::vector<Eigen::Vector3f> one(1U, {0.1F, 0.2F, 0.6F});
+  const std::vector<Eigen::Vector3f> two = {{0.1F, 0.2F, 0.6F}, {0.1F, 0.2F, 0.9F}};
+  for (const auto& points : {upright, lying, wall, table, cloud, buried, place, one, two}) {
+    const Block block = blockOfPoints(points);
+    const SegmentedBlock out = segmentBlock(block, {});
+    expectConsistent(block, out);
+  }
+  EXPECT_EQ(segmentBlock(blockOfPoints(upright), {}).plants.size(), 1U) << "a stem like a line";
+  for (const auto& points : {lying, table, buried, place, one, two}) {
+    EXPECT_TRUE(segmentBlock(blockOfPoints(points), {}).plants.empty());
+  }
+}
+
+TEST(Segmentation, WithoutAnyGroundModel) {
+  Scene scene(testing::levelSoil(), 10U);
+  addRow(scene, 0.0, 0.5);
+  Block block = blockOf(scene, testing::levelSoil());
+  block.ground = GroundModel();
+  const SegmentedBlock out = segmentBlock(block, {});
+  EXPECT_EQ(matchBases(basesOf(scene), basesOf(out)).pairs.size(), scene.plants.size());
+}
+
+TEST(Segmentation, OwnsThePlantsOfItsTile) {
+  // The tile reaches to 1 m from the middle, the block to 2 m.
+  Scene scene(testing::levelSoil(), 11U);
+  addRow(scene, 0.0, 0.35, -1.6, 1.61);
+  const Outcome outcome = segment(scene, testing::levelSoil());
+  EXPECT_EQ(outcome.missed, 0U);
+  for (const auto& [truth, found] : outcome.matches.pairs) {
+    const double x = std::abs(scene.plants[truth].base.x());
+    const Plant& plant = outcome.block.plants[found];
+    if (x > 0.98 && x < 1.02 + PlantRegistry::kBorderTolerance) continue;
+    EXPECT_EQ(plant.owned, x < 1.0) << "plant at " << x;
+  }
+}
+
+TEST(Segmentation, OrderedAndDeterministic) {
+  Scene scene(testing::levelSoil(), 12U);
+  addRow(scene, -0.5, 0.4);
+  addRow(scene, 0.5, 0.4);
+  const Block block = blockOf(scene, testing::levelSoil());
+  const SegmentedBlock first = segmentBlock(block, {});
+  const SegmentedBlock second = segmentBlock(block, {});
+  EXPECT_EQ(first.source_index, second.source_index);
+  ASSERT_EQ(first.plants.size(), second.plants.size());
+  for (std::size_t p = 0; p < first.plants.size(); ++p) {
+    EXPECT_EQ(first.plants[p].base, second.plants[p].base);
+  }
+}
+
+TEST(Segmentation, ColoursStayWithTheirPoints) {
+  Scene scene(testing::levelSoil(), 13U);
+  addRow(scene, 0.0, 0.5);
+  Block block = blockOf(scene, testing::levelSoil());
+  for (std::uint32_t i = 0; i < block.cloud.size(); ++i) block.cloud.colors.push_back(i);
+  const SegmentedBlock out = segmentBlock(block, {});
+  ASSERT_EQ(out.cloud.colors.size(), out.cloud.size());
+  EXPECT_EQ(out.cloud.colors, out.source_index);
+}
+
+// ---------------------------------------------------------------------------- seeds
+
+TEST(StemSeeds, RiseAlongTheStem) {
+  const Soil soil = testing::slopingSoil(12.0);
+  Scene scene(soil, 14U);
+  addRow(scene, 0.0, 0.5);
+  const Block block = blockOf(scene, soil);
+  const SegmentationParameters parameters;
+  const auto radius = static_cast<float>(parameters.seed_radius);
+  const NeighborGrid grid(block.cloud.points, radius);
+  const auto shapes = computeLocalShapes(block.cloud.points, grid, radius);
+  const auto seeds = findStemSeeds(block, grid, shapes, parameters);
+  ASSERT_EQ(seeds.size(), scene.plants.size());
+  float x = -10.0F;
+  for (const StemSeeds& stem : seeds) {
+    ASSERT_GE(stem.points.size(), 2U);
+    EXPECT_GT(stem.score, 0.0F);
+    EXPECT_GT(stem.points.front().x(), x) << "ordered by x";
+    x = stem.points.front().x();
+    for (std::size_t k = 0; k < stem.points.size(); ++k) {
+      double nearest = 1.0;
+      for (const PlantTruth& plant : scene.plants) {
+        nearest = std::min(nearest,
+                           (stem.points[k].head<2>().cast<double>() - plant.base).norm());
+      }
+      EXPECT_LT(nearest, 0.03) << "seeds lie on stems";
+      if (k > 0) {
+        EXPECT_GT(stem.points[k].z(), stem.points[k - 1].z());
+      }
+    }
+  }
+}
+
+TEST(StemSeeds, PersistenceNotDensityMakesAStem) {
+  // A ball of leaves at breast height has far more points than the stem beside it.
+  Scene scene(testing::levelSoil(), 15U);
+  PlantTruth plant;
+  plant.base = {-0.5, 0.0};
+  plant.leaves = 0;
+  plant.stem_points_per_metre = 500;
+  scene.addPlant(plant);
+  Block block = blockOf(scene, testing::levelSoil());
+  std::mt19937 random(16U);
+  std::normal_distribution<float> normal(0.0F, 0.05F);
+  for (int k = 0; k < 20000; ++k) {
+    block.cloud.points.emplace_back(0.5F + normal(random), normal(random), 0.8F + normal(random));
+  }
+  const SegmentedBlock out = segmentBlock(block, {});
+  ASSERT_EQ(out.plants.size(), 1U);
+  EXPECT_LT((out.plants[0].base.head<2>().cast<double>() - plant.base).norm(), 0.02);
+}
+
+// ---------------------------------------------------------------------------- organs
+
+/// Two upright stems 0.6 m apart, and what lies between them.
+class Organs : public ::testing::Test {
+ protected:
+  Organs() {
+    for (const float x : {-0.3F, 0.3F}) {
+      for (int k = 0; k < 400; ++k) {
+        const float angle = 2.4F * static_cast<float>(k);
+        const Eigen::Vector3f around(0.01F * std::cos(angle), 0.01F * std::sin(angle), 0.0F);
+        points_.emplace_back(Eigen::Vector3f(x, 0.0F, 0.003F * static_cast<float>(k)) + around);
+        owner_.push_back(x < 0.0F ? 0 : 1);
+      }
+    }
+  }
+
+  /// A ribbon 4 cm wide from `from` to `to`; returns the span of its points.
+  IndexSpan addRibbon(const Eigen::Vector3f& from, const Eigen::Vector3f& to) {
+    IndexSpan span;
+    span.begin = static_cast<std::uint32_t>(points_.size());
+    const Eigen::Vector3f along = to - from;
+    const Eigen::Vector3f across =
+        0.02F * along.cross(Eigen::Vector3f::UnitZ()).normalized();
+    const int steps = static_cast<int>(along.norm() / 0.005F);
+    for (int k = 0; k <= steps; ++k) {
+      for (int side = -2; side <= 2; ++side) {
+        points_.emplace_back(from + static_cast<float>(k) / static_cast<float>(steps) * along +
+                             0.5F * static_cast<float>(side) * across);
+        owner_.push_back(-1);
+      }
+    }
+    span.end = static_cast<std::uint32_t>(points_.size());
+    return span;
+  }
+
+  void assign(double reach = 0.10) {
+    SegmentationParameters parameters;
+    parameters.organ_reach = reach;
+    std::vector<StemAxis> axes;
+    for (const float x : {-0.3F, 0.3F}) {
+      axes.emplace_back(StemAxis({{{x, 0.0F, 0.0F}, 0.01F}, {{x, 0.0F, 1.2F}, 0.01F}}));
+    }
+    assigned_ = assignOrgans(blockOfPoints(points_), axes, owner_, parameters);
+    ASSERT_EQ(assigned_.size(), owner_.size());
+    for (std::size_t i = 0; i < owner_.size(); ++i) {
+      if (owner_[i] >= 0) {
+        ASSERT_EQ(assigned_[i], owner_[i]) << "stems stay";
+      }
+    }
+  }
+
+  double shareOf(const IndexSpan& span, std::int32_t plant) const {
+    const auto begin = assigned_.begin();
+    return static_cast<double>(std::count(begin + span.begin, begin + span.end, plant)) /
+           span.size();
+  }
+
+  std::vector<Eigen::Vector3f> points_;
+  std::vector<std::int32_t> owner_;
+  std::vector<std::int32_t> assigned_;
+};
+
+TEST_F(Organs, LeavesGoToTheStemTheyRiseFrom) {
+  const IndexSpan left = addRibbon({-0.29F, 0.0F, 0.5F}, {-0.05F, 0.2F, 0.8F});
+  const IndexSpan right = addRibbon({0.29F, 0.0F, 0.6F}, {0.05F, -0.2F, 0.9F});
+  assign();
+  EXPECT_EQ(shareOf(left, 0), 1.0);
+  EXPECT_EQ(shareOf(right, 1), 1.0);
+}
+
+TEST_F(Organs, ALeafThatReachesTheOtherStemStaysWithItsOwn) {
+  // Its tip passes the other stem at 4 cm.
+  const IndexSpan leaf = addRibbon({-0.29F, 0.0F, 0.5F}, {0.4F, 0.06F, 0.9F});
+  assign();
+  EXPECT_GT(shareOf(leaf, 0), 0.85);
+}
+
+TEST_F(Organs, GapsAreBridgedUpToTheReach) {
+  addRibbon({-0.29F, 0.0F, 0.6F}, {-0.20F, 0.0F, 0.7F});
+  const IndexSpan torn = addRibbon({-0.15F, 0.0F, 0.755F}, {-0.10F, 0.0F, 0.81F});
+  assign(0.10);
+  EXPECT_EQ(shareOf(torn, 0), 1.0) << "7 cm are bridged with a reach of 10 cm";
+  assign(0.05);
+  EXPECT_EQ(shareOf(torn, -1), 1.0) << "but not with 5 cm";
+}
+
+TEST_F(Organs, WhatNoStemReachesIsNobodys) {
+  const IndexSpan bird = addRibbon({-0.1F, 0.8F, 1.5F}, {0.1F, 0.8F, 1.5F});
+  const IndexSpan weed = addRibbon({0.0F, 0.0F, 0.02F}, {0.06F, 0.05F, 0.12F});
+  assign();
+  EXPECT_EQ(shareOf(bird, -1), 1.0);
+  EXPECT_EQ(shareOf(weed, -1), 1.0);
+}
+
+TEST_F(Organs, NoStemsAndNoPoints) {
+  EXPECT_TRUE(assignOrgans(Block(), {}, {}, {}).empty());
+  std::fill(owner_.begin(), owner_.end(), -1);
+  assign();
+  EXPECT_EQ(std::count(assigned_.begin(), assigned_.end(), -1),
+            static_cast<std::ptrdiff_t>(assigned_.size()));
+}
+
+}  // namespace
+}  // namespace field_phenotyping

@@ -1,0 +1,84 @@
+// Against field_phenotyping.launch: whatever comes in, the nodelets say what is wrong and live on.
+#include <gtest/gtest.h>
+#include <ros/master.h>
+
+#include <limits>
+
+#include "field_client.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+class BadInput : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    client_ = new testing::FieldClient();
+    ASSERT_TRUE(client_->waitForStages());
+  }
+  static void TearDownTestSuite() { delete client_; }
+
+  sensor_msgs::PointCloud2 goodCloud(const std::string& frame) const {
+    return testing::cloudOf(client_->field(), Eigen::Isometry3d::Identity(), frame,
+                            ros::Time::now());
+  }
+
+  void expectTrouble(const sensor_msgs::PointCloud2& cloud, const std::string& text) const {
+    client_->publish(cloud);
+    EXPECT_TRUE(client_->waitFor([&] { return client_->heardOf("preprocessing", text); }, 10.0))
+        << "nothing in the diagnostics about: " << text;
+  }
+
+  static testing::FieldClient* client_;
+};
+testing::FieldClient* BadInput::client_ = nullptr;
+
+TEST_F(BadInput, WithoutAnXFieldIsNamed) {
+  auto cloud = goodCloud("map");
+  cloud.fields[0].name = "range";
+  expectTrouble(cloud, "no field 'x', only: range (FLOAT32), y (FLOAT32), z (FLOAT32)");
+}
+
+TEST_F(BadInput, CutShortIsNamed) {
+  auto cloud = goodCloud("map");
+  cloud.data.resize(cloud.data.size() - 5U);
+  expectTrouble(cloud, "it was cut short");
+}
+
+TEST_F(BadInput, EmptyIsNamed) {
+  auto cloud = goodCloud("map");
+  cloud.width = 0U;
+  cloud.row_step = 0U;
+  cloud.data.clear();
+  expectTrouble(cloud, "holds no point");
+  expectTrouble(sensor_msgs::PointCloud2(), "frame_id is empty");
+}
+
+TEST_F(BadInput, AllNanIsNamed) {
+  auto cloud = goodCloud("map");
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  for (std::size_t i = 0; i < cloud.data.size(); i += cloud.point_step) {
+    for (std::size_t k = 0; k < 3U; ++k) std::memcpy(cloud.data.data() + i + 4U * k, &nan, 4U);
+  }
+  expectTrouble(cloud, "not finite");
+}
+
+TEST_F(BadInput, InAnUnknownFrameIsNamed) {
+  expectTrouble(goodCloud("nowhere"), "no transform from 'nowhere' to 'map'");
+}
+
+// Last: after all of the above a whole cloud must still be measured.
+TEST_F(BadInput, LeavesTheNodeletsAlive) {
+  client_->publish(goodCloud("map"));
+  EXPECT_TRUE(client_->waitFor([] { return client_->foundEveryPlant(); }, 40.0));
+  client_->expectTruth();
+}
+
+}  // namespace
+}  // namespace field_phenotyping
+
+int main(int argc, char** argv) {
+  ::testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "bad_input_test");
+  ros::NodeHandle keep_alive;
+  return RUN_ALL_TESTS();
+}

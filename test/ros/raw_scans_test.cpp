@@ -1,0 +1,25 @@
+// Against any running set of the four stages: raw scans with tf must give every plant.
+#include <gtest/gtest.h>
+
+#include "field_client.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+TEST(RawScans, GiveEveryPlant) {
+  testing::FieldClient client;
+  ASSERT_TRUE(client.waitForStages());
+  client.driveBy(20);
+  EXPECT_TRUE(client.waitFor([&] { return client.foundEveryPlant(); }, 40.0));
+  client.expectTruth();
+}
+
+}  // namespace
+}  // namespace field_phenotyping
+
+int main(int argc, char** argv) {
+  ::testing::InitGoogleTest(&argc, argv);
+  ros::init(argc, argv, "raw_scans_test");
+  ros::NodeHandle keep_alive;
+  return RUN_ALL_TESTS();
+}

@@ -1,0 +1,120 @@
+#include <CLI/CLI.hpp>
+#include <cstdio>
+#include <exception>
+#include <filesystem>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "cloud_files.hpp"
+#include "config_file.hpp"
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/pipeline.hpp"
+#include "phenotype_files.hpp"
+#include "simulation/progress.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+struct Options {
+  std::string input;
+  std::string output;
+  std::string config;
+  std::string device = "auto";
+  std::vector<std::string> assignments;
+  int threads = 0;
+};
+
+void writeTiming(const std::string& path, const PipelineResult& result) {
+  nlohmann::ordered_json timing;
+  for (const StageTime& time : result.times) {
+    timing[time.stage] = {{"seconds", time.seconds}, {"points", time.points}};
+  }
+  std::ofstream(path) << timing.dump(2) << "\n";
+}
+
+std::size_t countLabelled(const PipelineResult& result) {
+  std::size_t count = 0U;
+  for (const PointLabel& label : result.labels) count += label.plant_id >= 0 ? 1U : 0U;
+  return count;
+}
+
+void run(const Options& options) {
+  Parameters parameters;
+  if (!options.config.empty()) readConfigFile(options.config, parameters);
+  setParameters(options.assignments, parameters);
+  if (options.device == "cuda") {
+    std::fprintf(stderr, "phenotype_cloud: this build has no CUDA code; working on the CPU\n");
+  }
+  const ThreadLimit limit(options.threads);
+
+  simulation::ProgressBar progress;
+  progress.update("reading", 0.0);
+  const CloudFile input = readCloudFile(options.input);
+  const PipelineResult result = phenotypeCloud(
+      input.cloud, parameters, [&](double share) { progress.update("measuring plants", share); });
+
+  std::error_code failure;
+  std::filesystem::create_directories(options.output, failure);
+  if (failure) {
+    throw std::runtime_error(options.output + ": cannot be made: " + failure.message());
+  }
+  progress.update("writing", 0.0);
+  writePhenotypeCsv(options.output + "/plants.csv", result.plants);
+  writePhenotypeGeoJson(options.output + "/plants.geojson", result.plants);
+  writeLabels(options.output + "/labels.pcd", input, result.labels);
+  writeCompleted(options.output + "/completed.pcd", input, result);
+  writeTiming(options.output + "/timing.json", result);
+  progress.update("writing", 1.0);
+
+  std::printf("%zu plants in %zu points (%zu of them on plants) -> %s\n", result.plants.size(),
+              input.cloud.size(), countLabelled(result), options.output.c_str());
+  if (result.blocks_without_soil > 0U) {
+    std::printf(
+        "no soil seen in %zu of %zu blocks: heights there are from the lowest plant points\n",
+        result.blocks_without_soil, result.blocks.size());
+  }
+}
+
+}  // namespace
+}  // namespace field_phenotyping
+
+int main(int argc, char** argv) {
+  field_phenotyping::Options options;
+  CLI::App app(
+      "Measures every plant in one point cloud: height and stem diameter, each with its standard "
+      "deviation.\n"
+      "Writes plants.csv and plants.geojson (one row a plant; metres, radians), labels.pcd (plant "
+      "and organ of every\n"
+      "input point, in the input's order), completed.pcd (stems with their gaps filled) and "
+      "timing.json.");
+  app.add_option("input", options.input, "Cloud to measure: .pcd or .ply, x y z in metres, z up")
+      ->required();
+  app.add_option("-o,--output", options.output, "Folder for the results; made when missing")
+      ->required();
+  app.add_option("-c,--config", options.config, "YAML file of stage: {parameter: value}");
+  app.add_option("--set", options.assignments, "Set one parameter: stage/parameter=value");
+  app.add_option("--device", options.device, "Where to compute: auto, cpu or cuda")
+      ->check(CLI::IsMember({"auto", "cpu", "cuda"}))
+      ->capture_default_str();
+  app.add_option("--threads", options.threads, "Threads to use; 0: all cores")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str();
+  app.add_flag_callback(
+      "--list-parameters",
+      [] {
+        std::fputs(field_phenotyping::describeParameters().c_str(), stdout);
+        throw CLI::Success();
+      },
+      "Print every parameter with default, unit, range and meaning");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    field_phenotyping::run(options);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "\nphenotype_cloud: error: %s\n", error.what());
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,25 @@
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "field_phenotyping/measurement/phenotype.hpp"
+
+// The files that people take the plants from. Shared by every program that writes them.
+
+namespace field_phenotyping {
+
+/// Writes one header row, then one row a plant in the order given: metres, radians, map frame. A
+/// value that could not be measured is "nan"; `quality` holds the names of its flags, joined by
+/// '|'. A reader sees the old file or the new one, never a half.
+/// @throws std::runtime_error naming the file and the cause
+void writePhenotypeCsv(const std::string& path, const std::vector<Phenotype>& plants);
+
+/// Writes a GeoJSON FeatureCollection: one point a plant (x, y, z of its base [m] in `frame_id`,
+/// not longitude and latitude), its traits as properties; null where a trait could not be measured.
+/// As safe for readers as writePhenotypeCsv().
+/// @throws std::runtime_error naming the file and the cause
+void writePhenotypeGeoJson(const std::string& path, const std::vector<Phenotype>& plants,
+                           const std::string& frame_id = "map");
+
+}  // namespace field_phenotyping
