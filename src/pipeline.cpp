@@ -75,6 +75,9 @@ class VoxelLabels {
   }
 
   PointLabel at(const Eigen::Vector3d& p) const {
+    constexpr double kMostDistance = 1e9;  // [m] beyond it tiles cannot be numbered
+    if (!(p.cwiseAbs().maxCoeff() < kMostDistance)) return {};
+    if (!hasVoxelKey(localOf(p), map_.voxelSize())) return {};
     const auto tile = labels_.find(map_.tileAt(p.x(), p.y()));
     if (tile == labels_.end()) return {};
     const auto label = tile->second.find(keyOf(p));
@@ -82,10 +85,10 @@ class VoxelLabels {
   }
 
  private:
-  VoxelKey keyOf(const Eigen::Vector3d& p) const {
-    const Eigen::Vector3d local = p - map_.originOf(map_.tileAt(p.x(), p.y()));
-    return voxelKey(local.cast<float>(), map_.voxelSize());
+  Eigen::Vector3f localOf(const Eigen::Vector3d& p) const {
+    return (p - map_.originOf(map_.tileAt(p.x(), p.y()))).cast<float>();
   }
+  VoxelKey keyOf(const Eigen::Vector3d& p) const { return voxelKey(localOf(p), map_.voxelSize()); }
 
   VoxelMap map_;
   std::map<BlockIndex, std::unordered_map<VoxelKey, PointLabel>> labels_;

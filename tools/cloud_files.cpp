@@ -6,8 +6,10 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <limits>
 #include <stdexcept>
 #include <utility>
+#include <vector>
 
 #include "point_file.hpp"
 
@@ -99,6 +101,27 @@ void write(const std::string& path, const PCLPointCloud2& contents) {
   }
 }
 
+/// Whole metres near the middle of the finite points; NaN when there are none. The median, so that
+/// a stray point does not set the origin that all others are stored relative to.
+template <class PointAt>
+Eigen::Vector3d medianPosition(std::size_t count, PointAt pointAt) {
+  std::array<std::vector<double>, 3> values;
+  for (std::size_t i = 0; i < count; ++i) {
+    const Eigen::Vector3d p = pointAt(i);
+    if (!p.allFinite()) continue;
+    for (int axis = 0; axis < 3; ++axis) values[static_cast<std::size_t>(axis)].push_back(p[axis]);
+  }
+  Eigen::Vector3d median = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<double>& sorted = values[static_cast<std::size_t>(axis)];
+    if (sorted.empty()) return median;
+    const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2U);
+    std::nth_element(sorted.begin(), middle, sorted.end());
+    median[axis] = std::round(*middle);
+  }
+  return median;
+}
+
 /// Colours that differ well from one plant to the next: hues a golden angle apart.
 std::uint32_t plantColor(std::int32_t id) {
   constexpr double kGoldenRatio = 0.618033988749895;
@@ -122,24 +145,22 @@ CloudFile readCloudFile(const std::string& path) {
   const std::size_t count = static_cast<std::size_t>(file.contents.width) * file.contents.height;
   const PCLPointField* rgb = findColor(file.contents);
 
-  bool any_finite = false;
+  const auto pointAt = [&](std::size_t i) {
+    return coordinates(&file.contents.data[i * file.contents.point_step]);
+  };
+  file.cloud.origin = medianPosition(count, pointAt);
+  if (!file.cloud.origin.allFinite()) {
+    throw std::runtime_error(path + ": all " + std::to_string(count) +
+                             " points are NaN or infinite; nothing can be measured");
+  }
   file.cloud.points.resize(count);
   if (rgb != nullptr) file.cloud.colors.resize(count);
   for (std::size_t i = 0; i < count; ++i) {
-    const std::uint8_t* point = &file.contents.data[i * file.contents.point_step];
-    const Eigen::Vector3d p = coordinates(point);
-    if (!any_finite && p.allFinite()) {
-      file.cloud.origin = p.array().round().matrix();
-      any_finite = true;
-    }
-    file.cloud.points[i] = (p - file.cloud.origin).cast<float>();
+    file.cloud.points[i] = (pointAt(i) - file.cloud.origin).cast<float>();
     if (rgb != nullptr) {
-      file.cloud.colors[i] = Field(*rgb).bitsAt(point) & 0xFFFFFFU;
+      file.cloud.colors[i] =
+          Field(*rgb).bitsAt(&file.contents.data[i * file.contents.point_step]) & 0xFFFFFFU;
     }
-  }
-  if (!any_finite) {
-    throw std::runtime_error(path + ": all " + std::to_string(count) +
-                             " points are NaN or infinite; nothing can be measured");
   }
   return file;
 }

@@ -93,8 +93,9 @@ void readConfigFile(const std::string& path, Parameters& parameters) {
   const std::string form = path + ": expected 'stage: {parameter: value}'";
   if (!root.IsMap()) throw std::runtime_error(form);
   for (const auto& section : root) {
-    if (!section.second.IsMap()) throw std::runtime_error(form);
+    if (!section.first.IsScalar() || !section.second.IsMap()) throw std::runtime_error(form);
     for (const auto& entry : section.second) {
+      if (!entry.first.IsScalar()) throw std::runtime_error(form);
       assign(path, section.first.as<std::string>(), entry.first.as<std::string>(), entry.second,
              parameters);
     }
@@ -112,8 +113,8 @@ void setParameters(const std::vector<std::string>& assignments, Parameters& para
     }
     assign(where, assignment.substr(0, slash), assignment.substr(slash + 1U, equals - slash - 1U),
            YAML::Node(assignment.substr(equals + 1U)), parameters);
-    requireValid(where, parameters);
   }
+  requireValid("--set", parameters);
 }
 
 std::string describeParameters() {

@@ -32,7 +32,12 @@ void writeTiming(const std::string& path, const PipelineResult& result) {
   for (const StageTime& time : result.times) {
     timing[time.stage] = {{"seconds", time.seconds}, {"points", time.points}};
   }
-  std::ofstream(path) << timing.dump(2) << "\n";
+  std::ofstream file(path);
+  file << timing.dump(2) << "\n";
+  if (!file.flush()) {
+    throw std::runtime_error(path +
+                             " cannot be written; is the disk full or the folder read-only?");
+  }
 }
 
 std::size_t countLabelled(const PipelineResult& result) {
@@ -50,17 +55,18 @@ void run(const Options& options) {
   }
   const ThreadLimit limit(options.threads);
 
+  std::error_code failure;
+  std::filesystem::create_directories(options.output, failure);
+  if (failure) {
+    throw std::runtime_error(options.output + ": cannot be made: " + failure.message());
+  }
+
   simulation::ProgressBar progress;
   progress.update("reading", 0.0);
   const CloudFile input = readCloudFile(options.input);
   const PipelineResult result = phenotypeCloud(
       input.cloud, parameters, [&](double share) { progress.update("measuring plants", share); });
 
-  std::error_code failure;
-  std::filesystem::create_directories(options.output, failure);
-  if (failure) {
-    throw std::runtime_error(options.output + ": cannot be made: " + failure.message());
-  }
   progress.update("writing", 0.0);
   writePhenotypeCsv(options.output + "/plants.csv", result.plants);
   writePhenotypeGeoJson(options.output + "/plants.geojson", result.plants);
@@ -113,7 +119,7 @@ int main(int argc, char** argv) {
   try {
     field_phenotyping::run(options);
   } catch (const std::exception& error) {
-    std::fprintf(stderr, "\nphenotype_cloud: error: %s\n", error.what());
+    std::fprintf(stderr, "phenotype_cloud: error: %s\n", error.what());
     return 1;
   }
   return 0;

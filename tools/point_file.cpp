@@ -8,6 +8,7 @@
 #include <cctype>
 #include <cstdlib>
 #include <fstream>
+#include <new>
 #include <numeric>
 
 namespace field_phenotyping {
@@ -98,7 +99,13 @@ pcl::PCLPointCloud2 readPointFile(const fs::path& path) {
   int result = -1;
   if (extension == ".pcd") {
     checkPcd(path);
-    result = pcl::PCDReader().read(path.string(), cloud);
+    try {
+      result = pcl::PCDReader().read(path.string(), cloud);
+    } catch (const std::bad_alloc&) {
+      throw std::runtime_error(path.string() +
+                               ": its header promises more points than memory holds. It is broken, "
+                               "or must be cut into parts.");
+    }
   } else if (extension == ".ply") {
     Eigen::Vector4f origin;
     Eigen::Quaternionf orientation;

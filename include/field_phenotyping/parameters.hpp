@@ -27,7 +27,7 @@ struct PreprocessingParameters {
   int outlier_min_neighbors = 2;
   double block_size = 2.0;
   double block_margin = 0.6;
-  double ground_cell = 0.2;
+  double ground_cell = 0.12;
   double ground_distance = 0.04;
   double ground_max_tilt = 25.0;
   double ground_min_coverage = 0.25;
@@ -128,10 +128,14 @@ struct SegmentationParameters {
     v(ParameterInfo{"seed_max_height", "m",
                     "seeds are looked for up to this height above the soil"},
       p.seed_max_height, 0.1, 5.0);
-    v(ParameterInfo{"seed_slab", "m", "height of the slabs that stem evidence is collected in"},
+    v(ParameterInfo{"seed_slab", "m",
+                    "height of the slabs that stem evidence is collected in; widened likewise"},
       p.seed_slab, 0.01, 0.5);
-    v(ParameterInfo{"seed_radius", "m", "neighbourhood for the local shape of a point"},
-      p.seed_radius, 0.01, 0.5);
+    v(
+        ParameterInfo{
+            "seed_radius", "m",
+            "neighbourhood for the local shape of a point; widened by half in sparse clouds"},
+        p.seed_radius, 0.01, 0.5);
     v(ParameterInfo{"seed_min_length", "m",
                     "shortest upright run of stem evidence that makes a plant; a share of it for "
                     "low canopies"},

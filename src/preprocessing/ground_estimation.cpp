@@ -156,30 +156,33 @@ bool liesLowest(const Plane& plane, const PointCloud& cloud, float tolerance) {
   return static_cast<double>(below) <= kMostBelow * static_cast<double>(near);
 }
 
-/// Share of the seen area in which the plane shows.
-double coverage(const Plane& plane, const std::vector<Eigen::Vector3f>& candidates,
-                float tolerance) {
+/// Whether the plane shows in enough of the seen area, and in more of it than a few leaves cover.
+bool isExtended(const Plane& plane, const std::vector<Eigen::Vector3f>& candidates, float tolerance,
+                double min_coverage) {
   const auto on_plane = std::count_if(
       candidates.begin(), candidates.end(),
       [&](const Eigen::Vector3f& p) { return std::abs(plane.residual(p)) <= tolerance; });
-  return static_cast<double>(on_plane) / static_cast<double>(candidates.size());
+  constexpr std::ptrdiff_t kLeastCells = 25;
+  return on_plane >= kLeastCells &&
+         static_cast<double>(on_plane) >= min_coverage * static_cast<double>(candidates.size());
 }
 
 /// Number of small squares that the points on `plane` are seen in.
-std::size_t countPatches(const std::vector<Eigen::Vector3f>& nearby, const Plane& plane) {
-  constexpr float kPatch = 0.05F;
+std::size_t countPatches(const std::vector<Eigen::Vector3f>& nearby, const Plane& plane,
+                         float patch) {
   std::set<std::pair<int, int>> patches;
   for (const Eigen::Vector3f& p : nearby) {
     if (std::abs(plane.residual(p)) > 0.025F) continue;
-    patches.emplace(static_cast<int>(std::floor(p.x() / kPatch)),
-                    static_cast<int>(std::floor(p.y() / kPatch)));
+    patches.emplace(static_cast<int>(std::floor(p.x() / patch)),
+                    static_cast<int>(std::floor(p.y() / patch)));
   }
   return patches.size();
 }
 
 /// Soil round one node: the lower surface of the points near it, as a robust plane.
 GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_plane,
-                          const std::vector<Eigen::Vector3f>& nearby, float max_slope) {
+                          const std::vector<Eigen::Vector3f>& nearby, float spacing,
+                          float max_slope) {
   GroundModel::Node node;
   node.height = block_plane.heightAt(position.x(), position.y());
   node.stddev = kRidgeHeight / 2.0F;
@@ -212,7 +215,8 @@ GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_pl
   constexpr std::size_t kFewPatches = 8U;  // of the 64 that a node's surroundings hold
   constexpr std::size_t kManyPatches = 20U;
   const bool near_plane = std::abs(height - node.height) <= kPlain;
-  if (countPatches(nearby, plane) < (near_plane ? kFewPatches : kManyPatches)) return node;
+  if (countPatches(nearby, plane, spacing / 4.0F) < (near_plane ? kFewPatches : kManyPatches))
+    return node;
   node.height = height;
   const double roughness = std::sqrt(squares / count);
   node.stddev = static_cast<float>(std::max<double>(roughness, kMinRoughness));
@@ -271,7 +275,7 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
   const bool lowest = liesLowest(block_plane, cloud, tolerance);
   if (!lowest) block_plane = lowestLevel(candidates);
   const bool observed =
-      lowest && coverage(block_plane, candidates, tolerance) >= parameters.ground_min_coverage;
+      lowest && isExtended(block_plane, candidates, tolerance, parameters.ground_min_coverage);
 
   const int columns = static_cast<int>((extent.high.x() - extent.low.x()) / spacing) + 2;
   const int rows = static_cast<int>((extent.high.y() - extent.low.y()) / spacing) + 2;
@@ -302,7 +306,7 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
           extent.low + spacing * Eigen::Vector2f(static_cast<float>(i), static_cast<float>(j));
       const auto node = static_cast<std::size_t>(j) * static_cast<std::size_t>(columns) +
                         static_cast<std::size_t>(i);
-      nodes[node] = fitNode(position, block_plane, nearby[node], max_slope);
+      nodes[node] = fitNode(position, block_plane, nearby[node], spacing, max_slope);
     }
   }
   fillUnseenNodes(nodes, columns, rows);

@@ -65,7 +65,8 @@ struct Preprocessor::Impl {
            p.y() <= parameters.max_y && p.z() >= parameters.min_z && p.z() <= parameters.max_z;
   }
 
-  void insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color);
+  void chooseHeightDatum(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
+  bool insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color);
   void touchBlocksAround(const BlockIndex& index, const Eigen::Vector3f& local);
   void chooseEvictions();
   bool isFinal(const TileState& state) const;
@@ -101,19 +102,36 @@ void Preprocessor::Impl::touchBlocksAround(const BlockIndex& index, const Eigen:
   }
 }
 
-void Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color) {
-  if (!has_datum) {
-    map.setHeightDatum(std::floor(p.z()));
-    has_datum = true;
+/// The datum is the median height of the first scan, so that no stray return can set it.
+void Preprocessor::Impl::chooseHeightDatum(const Scan& scan,
+                                           const Eigen::Isometry3d& T_map_sensor) {
+  constexpr std::size_t kSamples = 1001U;
+  const std::size_t step = std::max<std::size_t>(1U, scan.cloud.size() / kSamples);
+  std::vector<double> heights;
+  for (std::size_t i = 0; i < scan.cloud.size(); i += step) {
+    const Eigen::Vector3d p = T_map_sensor * scan.cloud.mapPoint(i);
+    if (p.allFinite() && inCropBox(p)) heights.push_back(p.z());
   }
+  if (heights.empty()) return;
+  const auto middle = heights.begin() + static_cast<std::ptrdiff_t>(heights.size() / 2U);
+  std::nth_element(heights.begin(), middle, heights.end());
+  // In whole voxels: wherever the datum lies, the voxels are the same.
+  map.setHeightDatum(std::floor(*middle / parameters.voxel_size) * parameters.voxel_size);
+  has_datum = true;
+}
+
+/// Returns whether the point lies near enough to the map's other points to be kept.
+bool Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color) {
   const BlockIndex index = map.tileAt(p.x(), p.y());
   const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
+  if (!hasVoxelKey(local, map.voxelSize())) return false;
   TileState& state = states[index];
   if (map.tile(index).insert(local, map.voxelSize(), with_color, color)) {
     ++state.new_voxels;
     ++voxel_count;
   }
   touchBlocksAround(index, local);
+  return true;
 }
 
 /// Past the memory limit the tiles that were not reached for longest go first.
@@ -161,6 +179,7 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
   ScanReport report;
   report.points = scan.cloud.size();
   impl_->newest_ns = std::max(impl_->newest_ns, scan.stamp_ns);
+  if (!impl_->has_datum) impl_->chooseHeightDatum(scan, T_map_sensor);
   Eigen::Vector2d sum = Eigen::Vector2d::Zero();
   for (std::size_t i = 0; i < scan.cloud.size(); ++i) {
     if (!scan.cloud.points[i].allFinite()) {
@@ -168,11 +187,12 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
       continue;
     }
     const Eigen::Vector3d p = T_map_sensor * scan.cloud.mapPoint(i);
-    if (!impl_->inRange(scan.cloud.points[i]) || !impl_->inCropBox(p)) {
+    const std::uint32_t color = scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U;
+    if (!impl_->inRange(scan.cloud.points[i]) || !impl_->inCropBox(p) ||
+        !impl_->insert(p, scan.cloud.hasColors(), color)) {
       ++report.out_of_range;
       continue;
     }
-    impl_->insert(p, scan.cloud.hasColors(), scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U);
     sum += p.head<2>();
     ++report.used;
   }

@@ -18,6 +18,10 @@ std::uint64_t axisKey(float coordinate, float voxel_size) {
 
 }  // namespace
 
+bool hasVoxelKey(const Eigen::Vector3f& p, float voxel_size) {
+  return (p.array() / voxel_size).abs().maxCoeff() < kHalfRange - 1.0F;
+}
+
 VoxelKey voxelKey(const Eigen::Vector3f& p, float voxel_size) {
   return axisKey(p.x(), voxel_size) << 42U | axisKey(p.y(), voxel_size) << 21U |
          axisKey(p.z(), voxel_size);
@@ -29,22 +33,27 @@ bool VoxelTile::insert(const Eigen::Vector3f& p, float voxel_size, bool with_col
       index_.try_emplace(voxelKey(p, voxel_size), static_cast<std::uint32_t>(voxels_.size()));
   if (is_new) voxels_.emplace_back();
   Voxel& voxel = voxels_[entry->second];
-  voxel.sum += p;
+  // A running mean: sums lose precision where the rover stands still for long.
   ++voxel.count;
+  voxel.mean += (p - voxel.mean) / static_cast<float>(voxel.count);
   if (with_color) {
     colors_.resize(voxels_.size());
     auto& sums = colors_[entry->second];
     for (std::size_t channel = 0; channel < 3U; ++channel) {
       sums[channel] += color >> (16U - 8U * channel) & 0xFFU;
     }
+    ++sums[3];
   }
   return is_new;
 }
 
 std::uint32_t VoxelTile::color(std::size_t i) const {
-  if (i >= colors_.size()) return 0U;
-  const std::uint32_t count = voxels_[i].count;
-  return colors_[i][0] / count << 16U | colors_[i][1] / count << 8U | colors_[i][2] / count;
+  if (i >= colors_.size() || colors_[i][3] == 0U) return 0U;
+  const std::uint64_t count = colors_[i][3];
+  const auto mean = [&](std::size_t channel) {
+    return static_cast<std::uint32_t>(colors_[i][channel] / count);
+  };
+  return mean(0) << 16U | mean(1) << 8U | mean(2);
 }
 
 VoxelMap::VoxelMap(double tile_size, double voxel_size)

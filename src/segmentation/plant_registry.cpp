@@ -1,6 +1,7 @@
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 
 #include <cmath>
+#include <set>
 
 namespace field_phenotyping {
 
@@ -11,7 +12,8 @@ PlantRegistry::Cell PlantRegistry::cellOf(const Eigen::Vector2d& base) const {
           static_cast<std::int64_t>(std::floor(base.y() / match_radius_))};
 }
 
-PlantRegistry::Entries::iterator PlantRegistry::findNearest(const Eigen::Vector2d& base) {
+PlantRegistry::Entries::iterator PlantRegistry::findNearest(const Eigen::Vector2d& base,
+                                                            const std::set<std::int32_t>& given) {
   const Cell center = cellOf(base);
   auto nearest = entries_.end();
   double nearest_distance = match_radius_;
@@ -20,7 +22,7 @@ PlantRegistry::Entries::iterator PlantRegistry::findNearest(const Eigen::Vector2
       const auto range = entries_.equal_range({center.first + dx, center.second + dy});
       for (auto entry = range.first; entry != range.second; ++entry) {
         const double distance = (entry->second.base - base).norm();
-        if (distance < nearest_distance) {
+        if (distance < nearest_distance && given.count(entry->second.id) == 0U) {
           nearest_distance = distance;
           nearest = entry;
         }
@@ -37,13 +39,14 @@ void PlantRegistry::identify(SegmentedBlock& block) {
     Entry& entry = cell_and_entry.second;
     if (entry.owner == index) entry.claimed = false;
   }
+  std::set<std::int32_t> given;  // two plants of one block are two, however near
   for (Plant& plant : block.plants) {
     if (!plant.owned) continue;
     Entry entry;
     entry.base = block.cloud.origin.head<2>() + plant.base.head<2>().cast<double>();
     entry.owner = index;
     entry.claimed = true;
-    const auto known = findNearest(entry.base);
+    const auto known = findNearest(entry.base, given);
     if (known == entries_.end()) {
       entry.id = next_id_++;
     } else {
@@ -55,6 +58,7 @@ void PlantRegistry::identify(SegmentedBlock& block) {
       entries_.erase(known);  // filed again under its newest base
     }
     plant.id = entry.id;
+    given.insert(entry.id);
     entries_.emplace(cellOf(entry.base), entry);
   }
 }

@@ -182,11 +182,36 @@ SegmentedBlock assemble(const Block& block, const std::vector<Stem>& stems,
   return out;
 }
 
+/// Widens the neighbourhood and the slabs that seeds are found in where the cloud is too sparse for
+/// the ones asked for to show a stem's shape.
+SegmentationParameters adaptToDensity(const std::vector<Eigen::Vector3f>& points,
+                                      SegmentationParameters parameters) {
+  constexpr std::size_t kSamples = 500U;
+  constexpr std::uint32_t kEnoughNeighbors = 14U;
+  constexpr double kWiden = 1.5;
+  const auto radius = static_cast<float>(parameters.seed_radius);
+  const NeighborGrid grid(points, radius);
+  std::vector<std::uint32_t> counts;
+  for (std::size_t i = 0; i < points.size();
+       i += std::max<std::size_t>(1U, points.size() / kSamples)) {
+    std::uint32_t count = 0U;
+    grid.forEachWithin(points[i], radius, [&](std::uint32_t, float) { ++count; });
+    counts.push_back(count);
+  }
+  const auto middle = counts.begin() + static_cast<std::ptrdiff_t>(counts.size() / 2U);
+  std::nth_element(counts.begin(), middle, counts.end());
+  if (*middle >= kEnoughNeighbors) return parameters;
+  parameters.seed_radius *= kWiden;
+  parameters.seed_slab *= kWiden;
+  return parameters;
+}
+
 }  // namespace
 
-SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& parameters) {
+SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wanted) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   if (points.empty()) return assemble(block, {}, {}, {});
+  const SegmentationParameters parameters = adaptToDensity(points, wanted);
   const auto radius = static_cast<float>(parameters.seed_radius);
   const NeighborGrid grid(points, 0.5F * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);

@@ -51,7 +51,9 @@ StemAxis StemAxis::below(float s) const {
   constexpr float kLeastLength = 0.02F;
   const float top = std::clamp(s, std::min(kLeastLength, length()), length());
   std::vector<Node> lower;
-  for (std::size_t i = 0; i < nodes_.size() && arc_lengths_[i] < top; ++i) {
+  constexpr float kLeastStep = 1e-3F;  // a cut just above a node replaces it
+  lower.push_back(nodes_.front());
+  for (std::size_t i = 1; i < nodes_.size() && arc_lengths_[i] < top - kLeastStep; ++i) {
     lower.push_back(nodes_[i]);
   }
   lower.push_back({pointAt(top), radiusAt(top)});

@@ -171,9 +171,9 @@ TEST(Ground, RidgesAreFollowed) {
     const GroundScore score = scoreGround(scene, ground, parameters);
     std::printf("ridges: rms %.4f m, worst %.4f m, soil %.3f\n", error.rms, error.worst,
                 score.soil_found);
-    // A plane would be off by 0.06 / sqrt(8) = 0.021 m.
-    EXPECT_LT(error.rms, 0.008);
-    EXPECT_LT(error.worst, 0.025);
+    // A plane would be off by 0.06 / sqrt(8) = 0.021 m, and by 0.030 m on the crests.
+    EXPECT_LT(error.rms, 0.013);
+    EXPECT_LT(error.worst, 0.022);
     EXPECT_GT(score.soil_found, 0.95);
   }
 }
@@ -259,6 +259,23 @@ TEST(Ground, OnePlantWithoutSoil) {
   const GroundModel ground = estimateGround(scene.cloud, parameters);
   EXPECT_FALSE(ground.observed());
   EXPECT_NEAR(ground.heightAt(0.1F, -0.2F), 0.0F, 0.05F);
+}
+
+TEST(Ground, AStemAndALeafAreNoSoil) {
+  // What a neighbouring block sees in its margin: few places, the stem's foot a good share of them.
+  Scene scene(testing::levelSoil(), 3U);
+  for (const double x : {0.1, 0.7}) {
+    PlantTruth plant;
+    plant.base = {x, 0.0};
+    scene.addPlant(plant);
+  }
+  PointCloud margin;
+  for (const Eigen::Vector3f& point : scene.cloud.points) {
+    if (point.x() > 0.4F) margin.points.push_back(point);
+  }
+  const GroundModel ground = estimateGround(margin, PreprocessingParameters());
+  EXPECT_FALSE(ground.observed());
+  EXPECT_NEAR(ground.heightAt(0.7F, 0.0F), 0.0F, 0.02F);
 }
 
 TEST(Ground, HardlyAnyPoints) {

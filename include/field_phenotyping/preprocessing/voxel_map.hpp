@@ -16,7 +16,11 @@ namespace field_phenotyping {
 /// +-3145 m of the tile's local origin.
 using VoxelKey = std::uint64_t;
 
+/// Whether local position `p` can have a key.
+bool hasVoxelKey(const Eigen::Vector3f& p, float voxel_size);
+
 /// Key of the voxel that holds local position `p`.
+/// @throws std::out_of_range when it can have none
 VoxelKey voxelKey(const Eigen::Vector3f& p, float voxel_size);
 
 /// The voxels of one square tile: each keeps the centroid of all points that ever fell into it
@@ -27,9 +31,7 @@ class VoxelTile {
   bool insert(const Eigen::Vector3f& p, float voxel_size, bool with_color, std::uint32_t color);
 
   /// Centroids in the order in which their voxels were opened.
-  Eigen::Vector3f centroid(std::size_t i) const {
-    return voxels_[i].sum / static_cast<float>(voxels_[i].count);
-  }
+  const Eigen::Vector3f& centroid(std::size_t i) const { return voxels_[i].mean; }
   std::uint32_t color(std::size_t i) const;
 
   std::size_t size() const { return voxels_.size(); }
@@ -37,13 +39,13 @@ class VoxelTile {
 
  private:
   struct Voxel {
-    Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+    Eigen::Vector3f mean = Eigen::Vector3f::Zero();
     std::uint32_t count = 0U;
   };
 
   std::unordered_map<VoxelKey, std::uint32_t> index_;
   std::vector<Voxel> voxels_;
-  std::vector<std::array<std::uint32_t, 3>> colors_;  // sums of red, green, blue
+  std::vector<std::array<std::uint64_t, 4>> colors_;  // sums of red, green, blue; how many
 };
 
 /// Tiles by index, each with its place in the map frame. Tiles open as points arrive.

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <map>
 #include <mutex>
+#include <set>
 #include <utility>
 
 #include "field_phenotyping/segmentation/segmented_block.hpp"
@@ -42,7 +43,7 @@ class PlantRegistry {
   using Entries = std::multimap<Cell, Entry>;
 
   Cell cellOf(const Eigen::Vector2d& base) const;
-  Entries::iterator findNearest(const Eigen::Vector2d& base);
+  Entries::iterator findNearest(const Eigen::Vector2d& base, const std::set<std::int32_t>& given);
 
   const double match_radius_;
   mutable std::mutex mutex_;
