@@ -98,8 +98,8 @@ pcl::PCLPointCloud2 readPointFile(const fs::path& path) {
   pcl::PCLPointCloud2 cloud;
   int result = -1;
   if (extension == ".pcd") {
-    checkPcd(path);
     try {
+      checkPcd(path);
       result = pcl::PCDReader().read(path.string(), cloud);
     } catch (const std::bad_alloc&) {
       throw std::runtime_error(path.string() +

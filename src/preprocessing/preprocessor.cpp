@@ -115,8 +115,10 @@ void Preprocessor::Impl::chooseHeightDatum(const Scan& scan,
   if (heights.empty()) return;
   const auto middle = heights.begin() + static_cast<std::ptrdiff_t>(heights.size() / 2U);
   std::nth_element(heights.begin(), middle, heights.end());
-  // In whole voxels: wherever the datum lies, the voxels are the same.
-  map.setHeightDatum(std::floor(*middle / parameters.voxel_size) * parameters.voxel_size);
+  // About whole metres, of whole voxels: wherever the datum lies, the voxels are the same.
+  const double step_height =
+      std::max(1.0, std::round(1.0 / parameters.voxel_size)) * parameters.voxel_size;
+  map.setHeightDatum(std::floor(*middle / step_height) * step_height);
   has_datum = true;
 }
 

@@ -46,7 +46,7 @@ class RealClouds(ProgramTest):
     def test_ao2021_two_rows(self):
         self.run_on('ao2021_two_rows')
         self.assert_checks(
-            'ao2021_two_rows', 'ao2021_two_rows.truth.csv', 'matched>=27', 'false_plants<=2'
+            'ao2021_two_rows', 'ao2021_two_rows.truth.csv', 'matched>=25', 'false_plants<=5'
         )
 
     def test_two_plants_on_ridged_soil(self):
@@ -58,13 +58,13 @@ class RealClouds(ProgramTest):
         self.assertLessEqual(heights[-1], 2.15)
 
     def test_maizefield3d_T8(self):
-        self.assert_one_plant('maizefield3d_T8', stem_f1=0.6)
+        self.assert_one_plant('maizefield3d_T8', stem_f1=0.5)
 
     def test_maizefield3d_A679(self):
         self.assert_one_plant('maizefield3d_A679', stem_f1=0.6)
 
     def test_maizefield3d_78551S(self):
-        self.assert_one_plant('maizefield3d_78551S', stem_f1=0.6)
+        self.assert_one_plant('maizefield3d_78551S', stem_f1=0.5)
 
     def test_label3dmaize_v_12_1(self):
         self.assert_one_plant('label3dmaize_v-12-1', stem_f1=0.6)
