@@ -44,6 +44,8 @@ class RealClouds(ProgramTest):
         self.assertGreater(float(rows[0]['height']), 0.2)
 
     def test_ao2021_two_rows(self):
+        # What is reached; the goal is 27 of the 28 stems and at most 2 false ones. The cloud is four
+        # times sparser on its stems than a rover's.
         self.run_on('ao2021_two_rows')
         self.assert_checks(
             'ao2021_two_rows', 'ao2021_two_rows.truth.csv', 'matched>=25', 'false_plants<=5'
@@ -57,6 +59,8 @@ class RealClouds(ProgramTest):
         self.assertGreaterEqual(heights[-1], 2.05)
         self.assertLessEqual(heights[-1], 2.15)
 
+    # The truth of these counts ears and tassel as stem, which here are other organs: the goal of 0.6
+    # is missed on two of three for lack of recall.
     def test_maizefield3d_T8(self):
         self.assert_one_plant('maizefield3d_T8', stem_f1=0.5)
 
