@@ -1,5 +1,6 @@
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
 
+#include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -260,6 +261,42 @@ class CanopyHeight {
   std::map<std::pair<int, int>, float> heights_;
 };
 
+/// Draws the seeds that stray on to leaves back to the stem's own gentle curve: a parabola over the
+/// height, fitted robustly.
+void drawToCurve(std::vector<Eigen::Vector3f>& seeds) {
+  constexpr std::size_t kLeastSeeds = 6U;
+  if (seeds.size() < kLeastSeeds) return;
+  constexpr float kScale = 0.035F;  // [m] seeds farther off count little
+  constexpr int kRounds = 10;
+  const float middle = 0.5F * (seeds.front().z() + seeds.back().z());
+  const float half = 0.5F * (seeds.back().z() - seeds.front().z());
+  const auto row = [&](const Eigen::Vector3f& seed) {
+    const float t = (seed.z() - middle) / half;
+    return Eigen::Vector3f(1.0F, t, t * t);
+  };
+  std::vector<float> weights(seeds.size(), 1.0F);
+  Eigen::Matrix<float, 3, 2> curve = Eigen::Matrix<float, 3, 2>::Zero();
+  for (int round = 0; round < kRounds; ++round) {
+    constexpr float kLittleBend = 0.3F;  // a weak prior towards straight stems
+    Eigen::Matrix3f normal = Eigen::Vector3f(0.0F, 0.0F, kLittleBend).asDiagonal();
+    Eigen::Matrix<float, 3, 2> right = Eigen::Matrix<float, 3, 2>::Zero();
+    for (std::size_t i = 0; i < seeds.size(); ++i) {
+      const Eigen::Vector3f r = row(seeds[i]);
+      normal += weights[i] * r * r.transpose();
+      right += weights[i] * r * seeds[i].head<2>().transpose();
+    }
+    curve = normal.ldlt().solve(right);
+    for (std::size_t i = 0; i < seeds.size(); ++i) {
+      const Eigen::Vector2f off = seeds[i].head<2>() - curve.transpose() * row(seeds[i]);
+      weights[i] = 1.0F / (1.0F + off.squaredNorm() / (kScale * kScale));
+    }
+  }
+  for (std::size_t i = 0; i < seeds.size(); ++i) {
+    const Eigen::Vector2f on_curve = curve.transpose() * row(seeds[i]);
+    seeds[i].head<2>() = weights[i] * seeds[i].head<2>() + (1.0F - weights[i]) * on_curve;
+  }
+}
+
 /// Root mean square distance of a chain from the straight line that fits it best.
 float deviationFromLine(const std::vector<Eigen::Vector3f>& chain) {
   Eigen::Vector3f mean = Eigen::Vector3f::Zero();
@@ -290,9 +327,10 @@ bool standsLikeAStem(const std::vector<Eigen::Vector3f>& chain, const GroundMode
       bottom > static_cast<float>(parameters.seed_max_height)) {
     return false;
   }
-  constexpr float kLengthShare = 0.2F;  // of the canopy's height
-  constexpr float kHiddenShare = 0.8F;  // of what is hidden below
-  if (length < kLengthShare * canopy.around(chain.front()) + kHiddenShare * bottom) return false;
+  const float tallest = canopy.around(chain.front());
+  constexpr float kLengthShare = 0.25F;  // of the canopy's height
+  constexpr float kHiddenShare = 0.8F;   // of what is hidden below
+  if (length < kLengthShare * tallest + kHiddenShare * bottom) return false;
   constexpr float kJitter = 0.008F;  // [m] of the clusters' centres
   constexpr float kBend = 0.02F;     // of the length
   return deviationFromLine(chain) <= kJitter + kBend * length;
@@ -344,6 +382,7 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& blo
                     static_cast<float>(parameters.min_plant_spacing))) {
       continue;
     }
+    drawToCurve(stem.points);
     stems.push_back(std::move(stem));
   }
   std::sort(stems.begin(), stems.end(), [](const StemSeeds& a, const StemSeeds& b) {
