@@ -137,8 +137,7 @@ TEST(NeighborGrid, RefusesWhatItCannotHold) {
   EXPECT_THROW(NeighborGrid(points, -0.1F), std::invalid_argument);
   EXPECT_THROW(NeighborGrid(points, std::numeric_limits<float>::quiet_NaN()),
                std::invalid_argument);
-  EXPECT_THROW(NeighborGrid({{0.0F, 0.0F, 0.0F}, {1e6F, 0.0F, 0.0F}}, 0.1F),
-               std::invalid_argument);
+  EXPECT_THROW(NeighborGrid({{0.0F, 0.0F, 0.0F}, {1e6F, 0.0F, 0.0F}}, 0.1F), std::invalid_argument);
   const float infinity = std::numeric_limits<float>::infinity();
   EXPECT_THROW(NeighborGrid({{0.0F, 0.0F, 0.0F}, {infinity, 0.0F, 0.0F}}, 0.1F),
                std::invalid_argument);

@@ -320,8 +320,8 @@ TEST(Pipeline, RangeIsNotCutFromAnAccumulatedCloud) {
 TEST(Pipeline, ReportsProgressAndTimes) {
   const Scene& scene = borderField();
   std::vector<double> shares;
-  const PipelineResult result = phenotypeCloud(scene.cloud, Parameters(),
-                                               [&](double share) { shares.push_back(share); });
+  const PipelineResult result =
+      phenotypeCloud(scene.cloud, Parameters(), [&](double share) { shares.push_back(share); });
   ASSERT_FALSE(shares.empty());
   EXPECT_TRUE(std::is_sorted(shares.begin(), shares.end()));
   EXPECT_GT(shares.front(), 0.0);
@@ -361,9 +361,9 @@ TEST(Parameters, EachIsNamedWhenOutOfRange) {
 
     void operator()(const ParameterInfo& info, double& value, double low, double high) {
       const double kept = value;
-      for (const double wrong : {std::nextafter(low, -1e300) - 1e-6 * std::abs(low) - 1e-9,
-                                 high + 1e-6 * std::abs(high) + 1e-9,
-                                 std::numeric_limits<double>::quiet_NaN()}) {
+      for (const double wrong :
+           {std::nextafter(low, -1e300) - 1e-6 * std::abs(low) - 1e-9,
+            high + 1e-6 * std::abs(high) + 1e-9, std::numeric_limits<double>::quiet_NaN()}) {
         value = wrong;
         expectNamed(info);
       }

@@ -90,7 +90,7 @@ TEST(GroundModel, InterpolatesBilinearly) {
   }
   const GroundModel ground({-1.0F, 2.0F}, 0.5F, 4, 3, nodes, true);
   for (const Eigen::Vector2f& p : {Eigen::Vector2f(-1.0F, 2.0F), Eigen::Vector2f(-0.7F, 2.2F),
-                                  Eigen::Vector2f(0.49F, 2.99F), Eigen::Vector2f(0.5F, 3.0F)}) {
+                                   Eigen::Vector2f(0.49F, 2.99F), Eigen::Vector2f(0.5F, 3.0F)}) {
     EXPECT_NEAR(ground.heightAt(p.x(), p.y()), height(p.x(), p.y()), 0.08F) << p.transpose();
     EXPECT_NEAR(ground.stddevAt(p.x(), p.y()), 0.01F * p.x() + 0.05F, 1e-6F);
     EXPECT_NEAR(ground.heightAbove({p.x(), p.y(), 1.0F}), 1.0F - ground.heightAt(p.x(), p.y()),

@@ -335,9 +335,9 @@ TEST(Preprocessor, MemoryLimitFinishesTheOldestTiles) {
   parameters.block_margin = 0.0;
   Preprocessor preprocessor(parameters, "map");
   for (int k = 0; k < 20; ++k) {
-    preprocessor.addScan(patch(2.0 * k, 2.0 * k + 2.0,
-                               kStart + static_cast<std::uint64_t>(k) * kSecond, 0.05),
-                         kIdentity);
+    preprocessor.addScan(
+        patch(2.0 * k, 2.0 * k + 2.0, kStart + static_cast<std::uint64_t>(k) * kSecond, 0.05),
+        kIdentity);
     for (const BlockIndex& index : preprocessor.dueBlocks(false)) {
       const Block block = preprocessor.makeBlock(index, false);
       if (block.header.final) {

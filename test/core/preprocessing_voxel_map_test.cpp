@@ -31,8 +31,8 @@ std::vector<ColoredPoint> randomPoints(std::size_t count, const Eigen::Vector3d&
   std::vector<ColoredPoint> points;
   for (std::size_t i = 0; i < count; ++i) {
     const Eigen::Vector3d share(unit(random), unit(random), unit(random));
-    points.push_back({low + share.cwiseProduct(high - low),
-                      static_cast<std::uint32_t>(random()) & 0xFFFFFFU});
+    points.push_back(
+        {low + share.cwiseProduct(high - low), static_cast<std::uint32_t>(random()) & 0xFFFFFFU});
   }
   return points;
 }
@@ -112,8 +112,7 @@ TEST(VoxelMap, FarFromTheOriginAsAtIt) {
   const VoxelMap near_map = mapOf(points);
   const VoxelMap far_map = mapOf(shifted, far.z());
   const PointCloud near_cloud = near_map.extract(near_map.tileAt(1.0, 1.0), 0.0);
-  const PointCloud far_cloud =
-      far_map.extract(far_map.tileAt(far.x() + 1.0, far.y() + 1.0), 0.0);
+  const PointCloud far_cloud = far_map.extract(far_map.tileAt(far.x() + 1.0, far.y() + 1.0), 0.0);
   EXPECT_LT((far_cloud.origin - far - near_cloud.origin).norm(), 1e-9);
   ASSERT_EQ(near_cloud.size(), far_cloud.size());
   for (std::size_t i = 0; i < near_cloud.size(); ++i) {

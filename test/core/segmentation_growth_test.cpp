@@ -1,4 +1,5 @@
-// The steps of stem segmentation, each on its own: axis, local shape, growth, pruning, midline, top.
+// The steps of stem segmentation, each on its own: axis, local shape, growth, pruning, midline,
+// top.
 
 #include <gtest/gtest.h>
 
@@ -40,8 +41,7 @@ std::vector<std::uint32_t> allOf(const Points& points) {
 }
 
 /// Points on the surface round `axis`, at angles within [0, arc] from x.
-Points surfaceOf(const StemAxis& axis, std::size_t count, double noise, double arc,
-                 unsigned seed) {
+Points surfaceOf(const StemAxis& axis, std::size_t count, double noise, double arc, unsigned seed) {
   std::mt19937 random(seed);
   std::uniform_real_distribution<double> unit(0.0, 1.0);
   std::normal_distribution<double> normal(0.0, noise);
@@ -96,10 +96,10 @@ TEST(StemAxis, EndsGoOnStraight) {
 
 TEST(StemAxis, InterpolatesAlongItself) {
   const StemAxis axis = bentAxis();
-  EXPECT_NEAR(axis.length(),
-              std::hypot(0.02, 0.4) + std::sqrt(0.08 * 0.08 + 0.05 * 0.05 + 0.16) +
-                  std::hypot(0.15, 0.4),
-              1e-5);
+  EXPECT_NEAR(
+      axis.length(),
+      std::hypot(0.02, 0.4) + std::sqrt(0.08 * 0.08 + 0.05 * 0.05 + 0.16) + std::hypot(0.15, 0.4),
+      1e-5);
   const float first = std::hypot(0.02F, 0.4F);
   EXPECT_NEAR(axis.radiusAt(0.5F * first), 0.011F, 1e-6F);
   EXPECT_NEAR(axis.pointAtHeight(0.2F).x(), 0.01F, 1e-6F);
@@ -266,8 +266,7 @@ TEST(RegionGrowth, WithoutCandidatesWalksStraightToTheEnd) {
   const auto steps = [&](double beta, double r1) {
     SegmentationParameters parameters = growthParameters(0.2, beta);
     parameters.r1 = r1;
-    const GrowthRegion region =
-        growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), parameters);
+    const GrowthRegion region = growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), parameters);
     EXPECT_TRUE(region.points.empty());
     return region.steps;
   };
@@ -301,9 +300,8 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
 
   // The same line farther aside is never reached.
   for (Eigen::Vector3f& point : points) point.x() = 0.101F;
-  EXPECT_TRUE(
-      growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(), parameters)
-          .points.empty());
+  EXPECT_TRUE(growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(), parameters)
+                  .points.empty());
 }
 
 TEST(RegionGrowth, MeanDirectionTurnsTheWalk) {
@@ -313,10 +311,10 @@ TEST(RegionGrowth, MeanDirectionTurnsTheWalk) {
   const Eigen::Vector3f s_1(0.025F, 0.025F, 0.05F);
   const Eigen::Vector3f out = s_1.normalized();
   const Points points = {
-      {0.09F, 0.0F, 0.0F}, {0.0F, 0.09F, 0.0F},  // candidates at s_0
-      s_1 + 0.099F * out,                        // reached from s_1 only, and just
-      s_1 + 0.101F * out,                        // just not
-      {-0.08F, -0.08F, 0.05F},                   // 0.11 m from the untwisted path, 0.15 from s_1
+      {0.09F, 0.0F, 0.0F},     {0.0F, 0.09F, 0.0F},  // candidates at s_0
+      s_1 + 0.099F * out,                            // reached from s_1 only, and just
+      s_1 + 0.101F * out,                            // just not
+      {-0.08F, -0.08F, 0.05F},  // 0.11 m from the untwisted path, 0.15 from s_1
   };
   SegmentationParameters parameters = growthParameters(0.5, 0.5);
   parameters.max_growth_steps = 2;
@@ -328,8 +326,8 @@ TEST(RegionGrowth, MeanDirectionTurnsTheWalk) {
 
 TEST(RegionGrowth, OpposedCandidatesCancel) {
   // Mean direction zero: only beta is left, and the step is 0.5 r1 though |v| = 0.4.
-  const Points points = {{0.09F, 0.0F, 0.0F},   {-0.09F, 0.0F, 0.0F},
-                         {0.0F, 0.0F, 0.149F},  {0.0F, 0.0F, 0.151F}};
+  const Points points = {
+      {0.09F, 0.0F, 0.0F}, {-0.09F, 0.0F, 0.0F}, {0.0F, 0.0F, 0.149F}, {0.0F, 0.0F, 0.151F}};
   SegmentationParameters parameters = growthParameters(0.6, 0.4);
   parameters.max_growth_steps = 2;
   const GrowthRegion region =
@@ -357,14 +355,12 @@ TEST(RegionGrowth, BoundedAndSafe) {
   parameters.max_growth_steps = 4;
   EXPECT_EQ(growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), parameters).steps, 4U);
   // Nowhere to go: no direction, nothing joins.
-  const GrowthRegion still =
-      growRegion(cloud.scene(), kStart, kStart, vagueMidline(), parameters);
+  const GrowthRegion still = growRegion(cloud.scene(), kStart, kStart, vagueMidline(), parameters);
   EXPECT_EQ(still.steps, 0U);
   EXPECT_TRUE(still.points.empty());
   // A point at the seed itself has no direction; it must not spoil the mean.
   parameters.max_growth_steps = 200;
-  const GrowthRegion region =
-      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), parameters);
+  const GrowthRegion region = growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), parameters);
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
   EXPECT_LT(region.steps, 25U);
 }
@@ -414,7 +410,8 @@ TEST(RegionGrowth, NoMoreJoinTheStricterMIs) {
 
 TEST(Similarity, FallsWithDistanceFromTheSurface) {
   Points points;
-  for (int k = 0; k <= 40; ++k) points.emplace_back(0.012F + 0.001F * static_cast<float>(k), 0, 0.5F);
+  for (int k = 0; k <= 40; ++k)
+    points.emplace_back(0.012F + 0.001F * static_cast<float>(k), 0, 0.5F);
   const TinyCloud cloud(points);
   Midline midline;
   midline.axis = verticalAxis(1.0F, 0.012F);
@@ -536,8 +533,7 @@ const StemAxis& maizeStem() {
 
 TEST(Midline, WholeStemAllRound) {
   const Points points = surfaceOf(maizeStem(), 3000U, 0.002, 2.0 * M_PI, 8U);
-  const Midline midline =
-      fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.006F), 0.03F);
+  const Midline midline = fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.006F), 0.03F);
   const MidlineError error = errorOf(midline, maizeStem());
   EXPECT_LT(error.center, 0.002);
   EXPECT_LT(error.radius, 0.0012);
@@ -546,8 +542,7 @@ TEST(Midline, WholeStemAllRound) {
 
 TEST(Midline, HalfSeen) {
   const Points points = surfaceOf(maizeStem(), 2500U, 0.002, M_PI, 9U);
-  const Midline midline =
-      fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.004F), 0.03F);
+  const Midline midline = fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.004F), 0.03F);
   const MidlineError error = errorOf(midline, maizeStem());
   EXPECT_LT(error.center, 0.005);
   EXPECT_LT(error.radius, 0.004);
@@ -567,8 +562,7 @@ TEST(Midline, AmongLeafPointsAndWithAGap) {
       points.emplace_back(insertion + Eigen::Vector3f(0.01F + t, 0.02F * unit(random), 1.5F * t));
     }
   }
-  const Midline midline =
-      fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.005F), 0.03F);
+  const Midline midline = fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.005F), 0.03F);
   const MidlineError error = errorOf(midline, maizeStem());
   EXPECT_LT(error.center, 0.005);
   EXPECT_LT(error.radius, 0.003);
@@ -595,8 +589,7 @@ TEST(StemTop, BelowTheTassel) {
     const StemAxis stem = verticalAxis(1.2F, 0.011F);
     const StemAxis whole = verticalAxis(1.6F, 0.011F);
     Points points = surfaceOf(stem, 1500U, 0.002, 2.0 * M_PI, seed);
-    const StemAxis spike(
-        {{{0.0F, 0.0F, 1.2F}, 0.002F}, {{0.0F, 0.0F, 1.6F}, 0.001F}});
+    const StemAxis spike({{{0.0F, 0.0F, 1.2F}, 0.002F}, {{0.0F, 0.0F, 1.6F}, 0.001F}});
     for (const Eigen::Vector3f& point : surfaceOf(spike, 300U, 0.0015, 2.0 * M_PI, seed)) {
       points.push_back(point);
     }

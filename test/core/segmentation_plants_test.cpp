@@ -76,9 +76,10 @@ Outcome segment(const Scene& scene, const Soil& soil,
 }
 
 void report(const char* name, const Outcome& outcome) {
-  std::printf("%-28s missed %zu, false %zu, base within %.4f m, stem F1 %.3f, plant accuracy %.3f\n",
-              name, outcome.missed, outcome.false_plants, outcome.matches.worst, outcome.stems.f1,
-              outcome.plant_accuracy);
+  std::printf(
+      "%-28s missed %zu, false %zu, base within %.4f m, stem F1 %.3f, plant accuracy %.3f\n", name,
+      outcome.missed, outcome.false_plants, outcome.matches.worst, outcome.stems.f1,
+      outcome.plant_accuracy);
 }
 
 /// What must hold of any segmented block.
@@ -386,8 +387,7 @@ TEST(StemSeeds, RiseAlongTheStem) {
     for (std::size_t k = 0; k < stem.points.size(); ++k) {
       double nearest = 1.0;
       for (const PlantTruth& plant : scene.plants) {
-        nearest = std::min(nearest,
-                           (stem.points[k].head<2>().cast<double>() - plant.base).norm());
+        nearest = std::min(nearest, (stem.points[k].head<2>().cast<double>() - plant.base).norm());
       }
       EXPECT_LT(nearest, 0.03) << "seeds lie on stems";
       if (k > 0) {
@@ -437,8 +437,7 @@ class Organs : public ::testing::Test {
     IndexSpan span;
     span.begin = static_cast<std::uint32_t>(points_.size());
     const Eigen::Vector3f along = to - from;
-    const Eigen::Vector3f across =
-        0.02F * along.cross(Eigen::Vector3f::UnitZ()).normalized();
+    const Eigen::Vector3f across = 0.02F * along.cross(Eigen::Vector3f::UnitZ()).normalized();
     const int steps = static_cast<int>(along.norm() / 0.005F);
     for (int k = 0; k <= steps; ++k) {
       for (int side = -2; side <= 2; ++side) {

@@ -42,8 +42,8 @@ TEST(PlantRegistry, IdsAreStableOverRevisions) {
   EXPECT_EQ(std::set<std::int32_t>(first.begin(), first.end()).size(), 3U);
   EXPECT_GE(*std::min_element(first.begin(), first.end()), 0);
   // Estimates wander a little; one more plant comes into sight; the order changes.
-  const auto second = identify(
-      registry, blockWith({0, 0}, {{0.2, 0.5}, {1.02, 0.48}, {0.51, 0.49}, {1.48, 0.53}}));
+  const auto second =
+      identify(registry, blockWith({0, 0}, {{0.2, 0.5}, {1.02, 0.48}, {0.51, 0.49}, {1.48, 0.53}}));
   EXPECT_EQ(second[1], first[1]);
   EXPECT_EQ(second[2], first[0]);
   EXPECT_EQ(second[3], first[2]);
@@ -131,8 +131,8 @@ TEST(PlantRegistry, FarFromTheOrigin) {
   PlantRegistry registry;
   const Eigen::Vector2d far(500000.0, 4500000.0);
   const BlockIndex index{250000, 2250000};
-  const auto first = identify(
-      registry, blockWith(index, {far + Eigen::Vector2d(0.5, 0.5), far + Eigen::Vector2d(0.6, 0.5)}));
+  const auto first = identify(registry, blockWith(index, {far + Eigen::Vector2d(0.5, 0.5),
+                                                          far + Eigen::Vector2d(0.6, 0.5)}));
   EXPECT_NE(first[0], first[1]);
   EXPECT_EQ(identify(registry, blockWith(index, {far + Eigen::Vector2d(0.52, 0.5),
                                                  far + Eigen::Vector2d(0.61, 0.5)})),

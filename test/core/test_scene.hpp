@@ -53,7 +53,7 @@ struct PlantTruth {
 
 /// Which thing of the scene a point is.
 struct PointTruth {
-  int plant = -1;     // index into Scene::plants
+  int plant = -1;  // index into Scene::plants
   bool stem = false;
   bool soil = false;
 };
@@ -91,10 +91,9 @@ class Scene {
     const auto index = static_cast<int>(plants.size());
     plants.push_back(plant);
     const Eigen::Vector3d base = baseOf(plant);
-    const Eigen::Matrix3d turn =
-        (Eigen::AngleAxisd(plant.azimuth, Eigen::Vector3d::UnitZ()) *
-         Eigen::AngleAxisd(plant.lean, Eigen::Vector3d::UnitY()))
-            .toRotationMatrix();
+    const Eigen::Matrix3d turn = (Eigen::AngleAxisd(plant.azimuth, Eigen::Vector3d::UnitZ()) *
+                                  Eigen::AngleAxisd(plant.lean, Eigen::Vector3d::UnitY()))
+                                     .toRotationMatrix();
     const auto stem_points = static_cast<int>(plant.stem_length * plant.stem_points_per_metre);
     for (int k = 0; k < stem_points; ++k) {
       const double s = plant.stem_length * unit_(random_);
@@ -184,8 +183,7 @@ inline GroundModel exactGround(const Soil& soil, float half_width = 2.0F) {
       nodes.push_back({static_cast<float>(soil(x, y)), 0.004F, 1U});
     }
   }
-  return {{-half_width, -half_width}, kSpacing,         nodes_a_side,
-          nodes_a_side,               std::move(nodes), true};
+  return {{-half_width, -half_width}, kSpacing, nodes_a_side, nodes_a_side, std::move(nodes), true};
 }
 
 /// The scene's points above the soil as one block, whose tile is centred on the scene's origin.
