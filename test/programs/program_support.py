@@ -11,7 +11,7 @@ import unittest
 
 import numpy as np
 
-ROOT = os.path.abspath(os.path.join(os.path.dirname(__file__), '..', '..'))
+ROOT = os.path.abspath(os.path.join(os.path.dirname(os.path.realpath(__file__)), '..', '..'))
 sys.path.insert(0, os.path.join(ROOT, 'test', 'python'))
 sys.path.insert(0, os.path.join(ROOT, 'python'))
 

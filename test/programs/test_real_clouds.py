@@ -5,9 +5,9 @@ import unittest
 
 import numpy as np
 
-from program_support import ROOT, ProgramTest, read_table
+from program_support import ProgramTest, read_table
 
-DATA = os.path.join(ROOT, '..', 'shared', 'data')
+DATA = os.environ['FIELD_PHENOTYPING_DATA']
 
 
 class RealClouds(ProgramTest):
