@@ -3,13 +3,19 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <numeric>
+#include <utility>
 
 namespace field_phenotyping {
 namespace {
 
-constexpr float kBandHeight = 0.10F;  // [m] along the axis
-constexpr std::size_t kMinBandPoints = 8U;
-constexpr float kMinSpread = 0.001F;  // [m]
+constexpr float kBandHeight = 0.10F;   // [m] along the axis, for pruning and shares
+constexpr double kNodeSpacing = 0.05;  // [m] of the curve's nodes
+constexpr std::size_t kMinPoints = 8U;
+constexpr double kMostOfBand = 10.0;  // [log likelihood] what a few points of a stem say
+constexpr double kMinSpread = 0.002;  // [m]
+constexpr double kMaxSpread = 0.012;  // [m] beyond it nothing tells a stem from what is round it
 
 float medianOf(std::vector<float>& values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
@@ -17,204 +23,446 @@ float medianOf(std::vector<float>& values) {
   return *middle;
 }
 
-/// Bands among leaves spread more than the stem itself does, so a low quantile stands for the stem.
-float lowQuantileOf(std::vector<float>& values) {
-  const auto low = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 3U);
-  std::nth_element(values.begin(), low, values.end());
-  return *low;
-}
-
-/// Points of one band in the plane across the axis, relative to the prior's foot point.
-struct Band {
-  std::vector<Eigen::Vector2f> offsets;
-  float arc_length = 0.0F;  // mean, along the prior
+/// A point in the prior's own frame: height along its chord, offset across it.
+struct Sample {
+  double height = 0.0;
+  Eigen::Vector2d offset = Eigen::Vector2d::Zero();
 };
 
-/// Horizontal-most basis across `direction`.
-struct CrossFrame {
-  Eigen::Vector3f u;
-  Eigen::Vector3f v;
+/// The chord of a rough axis with a basis across it.
+struct ChordFrame {
+  Eigen::Vector3d origin, u, v, w;
+  double length;
 
-  explicit CrossFrame(const Eigen::Vector3f& direction)
-      : u((Eigen::Vector3f::UnitX() - direction.x() * direction).normalized()),
-        v(direction.cross(u)) {}
+  explicit ChordFrame(const StemAxis& prior)
+      : origin(prior.nodes().front().position.cast<double>()),
+        w(prior.nodes().back().position.cast<double>() - origin),
+        length(w.norm()) {
+    w /= length;
+    u = (Eigen::Vector3d::UnitX() - w.x() * w).normalized();
+    v = w.cross(u);
+  }
+  Sample toFrame(const Eigen::Vector3f& point) const {
+    const Eigen::Vector3d away = point.cast<double>() - origin;
+    return {away.dot(w), {away.dot(u), away.dot(v)}};
+  }
+  Eigen::Vector3f fromFrame(double height, const Eigen::Vector2d& offset) const {
+    return (origin + height * w + offset.x() * u + offset.y() * v).cast<float>();
+  }
 };
 
-std::vector<Band> splitIntoBands(const std::vector<Eigen::Vector3f>& points,
-                                 const std::vector<std::uint32_t>& members, const StemAxis& prior) {
-  const auto count = std::max<std::size_t>(
-      1U, static_cast<std::size_t>(std::lround(prior.length() / kBandHeight)));
-  const float height = prior.length() / static_cast<float>(count);
-  std::vector<Band> bands(count);
-  for (const std::uint32_t i : members) {
-    const StemAxis::Projection at = prior.project(points[i]);
-    if (at.arc_length < -0.5F * height || at.arc_length > prior.length() + 0.5F * height) continue;
-    const auto k = static_cast<std::size_t>(
-        std::clamp(at.arc_length / height, 0.0F, static_cast<float>(count) - 0.5F));
-    const CrossFrame frame(at.direction);
-    const Eigen::Vector3f offset = points[i] - at.foot;
-    bands[k].offsets.emplace_back(offset.dot(frame.u), offset.dot(frame.v));
-    bands[k].arc_length += at.arc_length;
-  }
-  for (std::size_t k = 0; k < count; ++k) {
-    const auto n = static_cast<float>(bands[k].offsets.size());
-    bands[k].arc_length =
-        n > 0.0F ? bands[k].arc_length / n : (static_cast<float>(k) + 0.5F) * height;
-  }
-  return bands;
-}
+/// The stem as it is fitted: centres at even heights with straight lines between, and a radius that
+/// falls evenly with the height.
+struct StemCurve {
+  double spacing = kNodeSpacing;
+  std::vector<Eigen::Vector2d> centers;
+  double radius = 0.0;  ///< at height 0
+  double taper = 0.0;   ///< of the radius per metre, <= 0
 
-struct Circle {
-  Eigen::Vector2f center = Eigen::Vector2f::Zero();
-  float radius = 0.0F;
-  float spread = 0.0F;  // robust standard deviation of the residuals
-  float weight = 0.0F;  // effective number of points; 0: not fitted
+  struct Place {
+    std::size_t node;  // the lower one
+    double share;      // of the upper one
+  };
+  Place placeOf(double height) const {
+    const double at = std::clamp(height / spacing, 0.0, static_cast<double>(centers.size() - 1U));
+    const auto node = std::min(static_cast<std::size_t>(at), centers.size() - 2U);
+    return {node, at - static_cast<double>(node)};
+  }
+  Eigen::Vector2d centerAt(double height) const {
+    const Place at = placeOf(height);
+    return (1.0 - at.share) * centers[at.node] + at.share * centers[at.node + 1U];
+  }
+  double radiusAt(double height) const {
+    constexpr double kThinnest = 0.25;  // of the radius at the base
+    return std::max(radius + taper * height, kThinnest * radius);
+  }
 };
 
-/// Geometric circle by iteratively reweighted Gauss-Newton; weak priors keep a half-seen stem from
-/// running away.
-Circle fitCircle(const std::vector<Eigen::Vector2f>& offsets, const Circle& prior,
-                 float radius_stddev, float center_stddev) {
-  Circle circle = prior;
-  circle.weight = 0.0F;
-  if (offsets.size() < kMinBandPoints) return circle;
-  constexpr int kRounds = 12;
-  std::vector<float> sizes(offsets.size());
-  for (int round = 0; round < kRounds; ++round) {
-    for (std::size_t i = 0; i < offsets.size(); ++i) {
-      sizes[i] = std::abs((offsets[i] - circle.center).norm() - circle.radius);
-    }
-    std::vector<float> sorted = sizes;
-    circle.spread = std::max(1.4826F * medianOf(sorted), kMinSpread);
-    const float cutoff = 3.0F * circle.spread;
-
-    const float variance = circle.spread * circle.spread;
-    Eigen::Matrix3f normal = Eigen::Matrix3f::Zero();
-    Eigen::Vector3f right = Eigen::Vector3f::Zero();
-    circle.weight = 0.0F;
-    for (const Eigen::Vector2f& offset : offsets) {
-      const Eigen::Vector2f away = offset - circle.center;
-      const float distance = std::max(away.norm(), 1e-6F);
-      const float residual = distance - circle.radius;
-      if (std::abs(residual) >= cutoff) continue;
-      const float share = residual / cutoff;
-      const float weight = (1.0F - share * share) * (1.0F - share * share);  // Tukey
-      Eigen::Vector3f row;
-      row << away / distance, 1.0F;
-      normal += weight * row * row.transpose();
-      right += weight * residual * row;
-      circle.weight += weight;
-    }
-    const Eigen::Vector3f prior_weight(variance / (center_stddev * center_stddev),
-                                       variance / (center_stddev * center_stddev),
-                                       variance / (radius_stddev * radius_stddev));
-    const Eigen::Vector3f away_from_prior(prior.center.x() - circle.center.x(),
-                                          prior.center.y() - circle.center.y(),
-                                          prior.radius - circle.radius);
-    normal.diagonal() += prior_weight;
-    right += prior_weight.cwiseProduct(away_from_prior);
-    const Eigen::Vector3f step = normal.ldlt().solve(right);
-    circle.center += step.head<2>();
-    circle.radius = std::max(circle.radius + step[2], 1e-3F);
-    constexpr float kConverged = 1e-5F;
-    if (step.norm() < kConverged) break;
+/// Expectation maximisation of a stem among clutter. Every height band has its own share of stem
+/// points, so that bands full of leaves, or without any stem, do not draw the curve. Only samples
+/// of the active range of heights are looked at; elsewhere the curve runs on straight.
+class CurveFit {
+ public:
+  CurveFit(const std::vector<Sample>& samples, StemCurve start, double max_radius)
+      : samples_(&samples),
+        curve_(std::move(start)),
+        max_radius_(max_radius),
+        reach_(1.2 * max_radius),
+        posterior_(samples.size(), 0.0) {
+    shares_.assign(static_cast<std::size_t>(std::ceil(length() / kShareBand)) + 1U, 0.5);
+    trust_.assign(shares_.size(), 1.0);
   }
-  return circle;
-}
 
-/// Middle of the shortest interval that holds a third of the values: where they crowd.
-float modeOf(std::vector<float>& values) {
-  std::sort(values.begin(), values.end());
-  const std::size_t share = std::max<std::size_t>(values.size() / 3U, 1U);
-  std::size_t best = 0;
-  for (std::size_t i = 0; i + share < values.size(); ++i) {
-    if (values[i + share] - values[i] < values[best + share] - values[best]) best = i;
+  /// The same curve among other samples.
+  CurveFit over(const std::vector<Sample>& samples) const {
+    CurveFit fit = *this;
+    fit.samples_ = &samples;
+    fit.posterior_.assign(samples.size(), 0.0);
+    return fit;
   }
-  return 0.5F * (values[best] + values[std::min(best + share, values.size() - 1U)]);
-}
 
-/// The stem's typical radius: where the points' distances from the rough axis crowd, in the middle
-/// of the bands. Leaf points lie farther out, but are scattered.
-float typicalRadius(const std::vector<Band>& bands, float max_radius) {
-  std::vector<float> modes;
-  for (const Band& band : bands) {
-    std::vector<float> distances;
-    for (const Eigen::Vector2f& offset : band.offsets) {
-      if (offset.norm() < 1.2F * max_radius) distances.push_back(offset.norm());
+  double length() const { return curve_.spacing * static_cast<double>(curve_.centers.size() - 1U); }
+  const StemCurve& curve() const { return curve_; }
+
+  void setActive(double low, double high) {
+    low_ = low;
+    high_ = high;
+  }
+
+  /// Lets points below a height lie farther from the surface. A stem surely goes on down to the
+  /// soil, so its foot may be looked for where the curve, carried on straight, misses it.
+  void loosenBelow(double height, double spread) {
+    foot_ = height;
+    foot_spread_ = spread;
+  }
+
+  /// Trusts a stretch where points crowd within the stem's skin, and hardly where as many lie in
+  /// the ring round it: leaves, which would draw the curve their way.
+  void judge(double low, double high) {
+    for (std::size_t band = bandOf(low); band <= bandOf(high); ++band) {
+      double inside = 0.0;
+      double around = 0.0;
+      for (const Sample& sample : *samples_) {
+        if (bandOf(sample.height) != band) continue;
+        const double skin = curve_.radiusAt(sample.height) + 2.0 * spreadAt(sample.height);
+        const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
+        if (distance < skin) {
+          inside += 1.0;
+        } else if (distance < 2.0 * skin) {
+          around += 1.0;
+        }
+      }
+      constexpr double kSureExcess = 0.3;
+      constexpr double kLeastTrust = 0.05;
+      trust_[band] = std::clamp((inside - around) / (kSureExcess * (inside + around) + 1e-9),
+                                kLeastTrust, 1.0);
     }
-    if (distances.size() >= kMinBandPoints) modes.push_back(modeOf(distances));
   }
-  return modes.empty() ? 0.5F * max_radius : medianOf(modes);
-}
 
-/// How much a band's circle is to be believed: many points close to it.
-float confidence(const Circle& circle) {
-  constexpr float kMostPoints = 60.0F;
-  constexpr float kScale = 0.003F;  // [m]
-  const float relative = circle.spread / kScale;
-  return std::min(circle.weight, kMostPoints) / (1.0F + relative * relative);
-}
+  /// The stem as a blob of points of that width, which finds it from afar.
+  void fitBlob(double width) {
+    spread_ = width;
+    expect(false);
+    maximise(false);
+  }
 
-/// Centres averaged with the neighbouring bands; bands that were not fitted take theirs.
-void smoothCenters(std::vector<Circle>& circles, const std::vector<float>& at) {
-  const std::vector<Circle> raw = circles;
-  constexpr float kReach = 0.12F;  // [m]
-  for (std::size_t k = 0; k < raw.size(); ++k) {
-    float total = 0.0F;
-    Eigen::Vector2f center = Eigen::Vector2f::Zero();
-    for (float reach = kReach; !(total > 0.0F) && reach < 10.0F; reach *= 2.0F) {
-      for (std::size_t j = 0; j < raw.size(); ++j) {
-        const float apart = (at[j] - at[k]) / reach;
-        const float weight = confidence(raw[j]) * std::exp(-2.0F * apart * apart);
-        constexpr float kNegligible = 1e-3F;
-        if (weight < kNegligible) continue;
-        center += weight * raw[j].center;
-        total += weight;
+  /// The stem as its surface.
+  void fitSurface(double spread) {
+    spread_ = spread;
+    expect(true);
+    maximise(true);
+  }
+
+  /// Robust standard deviation of the stem points about the surface.
+  double surfaceSpread() const {
+    double sum = 0.0;
+    double total = 1e-9;
+    for (std::size_t i = 0; i < samples_->size(); ++i) {
+      const double away = ((*samples_)[i].offset - curve_.centerAt((*samples_)[i].height)).norm() -
+                          curve_.radiusAt((*samples_)[i].height);
+      const double weight = posterior_[i] * std::pow(trust_[bandOf((*samples_)[i].height)], 2);
+      sum += weight * away * away;
+      total += weight;
+    }
+    return std::clamp(std::sqrt(sum / total), kMinSpread, kMaxSpread);
+  }
+
+  double stemPoints() const { return std::accumulate(posterior_.begin(), posterior_.end(), 0.0); }
+
+  /// Starts the surface at a typical radius, which also is its prior.
+  void setRadius(double typical) {
+    typical_radius_ = typical;
+    curve_.taper = -kTaper * typical;
+    curve_.radius = typical - curve_.taper * 0.5 * (std::max(low_, 0.0) + high_);
+  }
+
+  /// A fit over other samples that goes on from this one's curve, carried on straight.
+  CurveFit continuedOver(const std::vector<Sample>& samples, const StemCurve& wanted, double low,
+                         double high) const {
+    CurveFit fit(samples, wanted, max_radius_);
+    const double first = low;
+    const Eigen::Vector2d foot = curve_.centers.front();
+    const Eigen::Vector2d top = curve_.centers.back();
+    const Eigen::Vector2d slope = (top - foot) / length();
+    for (std::size_t k = 0; k < fit.curve_.centers.size(); ++k) {
+      const double height = fit.curve_.spacing * static_cast<double>(k) - first;
+      fit.curve_.centers[k] = height < 0.0 ? Eigen::Vector2d(foot + height * slope)
+                              : height > length()
+                                  ? Eigen::Vector2d(top + (height - length()) * slope)
+                                  : curve_.centerAt(height);
+    }
+    fit.setActive(low, high);
+    fit.spread_ = spread_;
+    fit.typical_radius_ = typical_radius_;
+    fit.curve_.taper = curve_.taper;
+    fit.curve_.radius = curve_.radius - curve_.taper * first;
+    return fit;
+  }
+
+  /// Log likelihood gained by a stem there over clutter alone, with the curve carried on straight
+  /// beyond [low, high]. No band says more than a few points of a stem would, since leaves are
+  /// dense.
+  double evidence(double low, double high) const {
+    std::vector<std::vector<double>> ratios(shares_.size());
+    for (const Sample& sample : *samples_) {
+      const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
+      if (distance > reach_) continue;
+      const double beyond = std::max({0.0, low - sample.height, sample.height - high});
+      constexpr double kLoosen = 0.01;  // [m/m] what a straight continuation may miss by
+      ratios[bandOf(sample.height)].push_back(
+          surfaceDensity(distance, sample.height, std::hypot(spread_, kLoosen * beyond)) /
+          clutter());
+    }
+    double sum = 0.0;
+    for (const std::vector<double>& band : ratios) {
+      double most = 0.0;
+      for (const double share : {0.2, 0.7}) {
+        double gain = 0.0;
+        for (const double ratio : band) gain += std::log1p(share * (ratio - 1.0));
+        most = std::max(most, gain);
+      }
+      sum += std::min(most, kMostOfBand);
+    }
+    return sum;
+  }
+
+ private:
+  static constexpr double kShareBand = 0.10;    // [m]
+  static constexpr double kTaper = 0.25;        // share of the radius lost per metre
+  static constexpr double kTaperStddev = 0.12;  // of the same
+
+  bool active(const Sample& sample) const {
+    return sample.height >= low_ && sample.height <= high_;
+  }
+
+  std::size_t bandOf(double height) const {
+    return static_cast<std::size_t>(
+        std::clamp(height / kShareBand, 0.0, static_cast<double>(shares_.size() - 1U)));
+  }
+
+  /// Density of a stem's points over the plane across it [1/m^2].
+  double surfaceDensity(double distance, double height, double spread) const {
+    const double radius = curve_.radiusAt(height);
+    const double z = (distance - radius) / spread;
+    return std::exp(-0.5 * z * z) /
+           (std::sqrt(2.0 * M_PI) * spread * 2.0 * M_PI * std::max(radius, spread));
+  }
+  double clutter() const { return 1.0 / (M_PI * reach_ * reach_); }
+
+  double reachAt(double height) const {
+    return height < foot_ && foot_spread_ > 0.0 ? reach_ + 2.0 * foot_spread_ : reach_;
+  }
+  double spreadAt(double height) const {
+    return height < foot_ ? std::max(foot_spread_, spread_) : spread_;
+  }
+
+  /// How probably each point is the stem's.
+  void expect(bool surface) {
+    std::vector<double> stem(shares_.size(), 0.0);
+    std::vector<double> all(shares_.size(), 0.0);
+    for (std::size_t i = 0; i < samples_->size(); ++i) {
+      posterior_[i] = 0.0;
+      if (!active((*samples_)[i])) continue;
+      const double distance =
+          ((*samples_)[i].offset - curve_.centerAt((*samples_)[i].height)).norm();
+      if (distance > reachAt((*samples_)[i].height)) continue;
+      const std::size_t band = bandOf((*samples_)[i].height);
+      double density = 0.0;
+      if (surface) {
+        density = surfaceDensity(distance, (*samples_)[i].height, spreadAt((*samples_)[i].height));
+      } else {
+        const double z = distance / spread_;
+        density = std::exp(-0.5 * z * z) / (2.0 * M_PI * spread_ * spread_);
+      }
+      const double of_stem = shares_[band] * density;
+      posterior_[i] = of_stem / (of_stem + (1.0 - shares_[band]) * clutter());
+      stem[band] += posterior_[i];
+      all[band] += 1.0;
+    }
+    for (std::size_t band = 0; band < shares_.size(); ++band) {
+      shares_[band] = std::clamp((stem[band] + 0.5) / (all[band] + 1.0), 0.02, 0.98);
+    }
+  }
+
+  /// Weighted least squares of the centres, and of radius and taper with the surface, under a prior
+  /// that stems bend little. Unknowns: u, v of every node, radius, taper.
+  void maximise(bool surface) {
+    const auto nodes = static_cast<Eigen::Index>(curve_.centers.size());
+    const Eigen::Index size = 2 * nodes + 2;
+    Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(size, size);
+    Eigen::VectorXd right = Eigen::VectorXd::Zero(size);
+
+    // Points of one cell err together (leaf bases, out-of-roundness), so many count as a few.
+    std::vector<double> cell_points(curve_.centers.size(), 0.0);
+    for (std::size_t i = 0; i < samples_->size(); ++i) {
+      cell_points[curve_.placeOf((*samples_)[i].height).node] += posterior_[i];
+    }
+    for (std::size_t i = 0; i < samples_->size(); ++i) {
+      constexpr double kNegligible = 1e-4;
+      if (posterior_[i] < kNegligible) continue;
+      const StemCurve::Place place = curve_.placeOf((*samples_)[i].height);
+      constexpr double kMostPoints = 12.0;
+      const double weight = trust_[bandOf((*samples_)[i].height)] * posterior_[i] *
+                            std::min(1.0, kMostPoints / cell_points[place.node]) /
+                            std::pow(spreadAt((*samples_)[i].height), 2);
+      const Eigen::Vector2d& offset = (*samples_)[i].offset;
+      const Eigen::Index first = 2 * static_cast<Eigen::Index>(place.node);
+      if (!surface) {
+        for (Eigen::Index axis = 0; axis < 2; ++axis) {
+          const double low = 1.0 - place.share;
+          const double high = place.share;
+          normal(first + axis, first + axis) += weight * low * low;
+          normal(first + 2 + axis, first + 2 + axis) += weight * high * high;
+          normal(first + 2 + axis, first + axis) += weight * low * high;
+          right[first + axis] += weight * low * offset[axis];
+          right[first + 2 + axis] += weight * high * offset[axis];
+        }
+        continue;
+      }
+      // Distance minus radius, linearised: toward . (offset - center) = radius + taper * height.
+      const Eigen::Vector2d away = offset - curve_.centerAt((*samples_)[i].height);
+      const Eigen::Vector2d toward = away / std::max(away.norm(), 1e-6);
+      Eigen::Vector4d row;
+      row << (1.0 - place.share) * toward, place.share * toward;
+      const Eigen::Vector2d row_radius(1.0, (*samples_)[i].height);
+      const double target = toward.dot(offset);
+      normal.block<4, 4>(first, first) += weight * row * row.transpose();
+      normal.block<2, 4>(size - 2, first) += weight * row_radius * row.transpose();
+      normal.bottomRightCorner<2, 2>() += weight * row_radius * row_radius.transpose();
+      right.segment<4>(first) += weight * target * row;
+      right.tail<2>() += weight * target * row_radius;
+    }
+
+    // Bending: the slope wanders by kBend per square root of a metre.
+    const double bend = 1.0 / (kBend * kBend * std::pow(curve_.spacing, 3));
+    for (Eigen::Index k = 0; k + 2 < nodes; ++k) {
+      for (Eigen::Index axis = 0; axis < 2; ++axis) {
+        const Eigen::Index i = 2 * k + axis;
+        normal(i, i) += bend;
+        normal(i + 2, i + 2) += 4.0 * bend;
+        normal(i + 4, i + 4) += bend;
+        normal(i + 2, i) -= 2.0 * bend;
+        normal(i + 4, i + 2) -= 2.0 * bend;
+        normal(i + 4, i) += bend;
       }
     }
-    if (total > 0.0F) circles[k].center = center / total;
+    // Weak: nodes stay where they are, so that nothing is undetermined.
+    constexpr double kHold = 1.0 / (0.2 * 0.2);
+    for (Eigen::Index i = 0; i < 2 * nodes; ++i) {
+      normal(i, i) += kHold;
+      right[i] += kHold * curve_.centers[static_cast<std::size_t>(i / 2)][i % 2];
+    }
+    if (surface) {
+      const double level = 1.0 / std::pow(kRadiusStddev * typical_radius_, 2);
+      const double slope = 1.0 / std::pow(kTaperStddev * typical_radius_, 2);
+      const Eigen::Vector2d row(1.0, 0.5 * (std::max(low_, 0.0) + high_));
+      normal.bottomRightCorner<2, 2>() += level * row * row.transpose();
+      right.tail<2>() += level * typical_radius_ * row;
+      normal(size - 1, size - 1) += slope;
+      right[size - 1] -= slope * kTaper * typical_radius_;
+    } else {
+      normal.bottomRightCorner<2, 2>().setIdentity();
+      right.tail<2>() << curve_.radius, curve_.taper;
+    }
+
+    const Eigen::LDLT<Eigen::MatrixXd, Eigen::Lower> solver(normal);
+    const Eigen::VectorXd solved = solver.solve(right);
+    if (solver.info() != Eigen::Success || !solved.allFinite()) return;
+    for (std::size_t k = 0; k < curve_.centers.size(); ++k) {
+      curve_.centers[k] = solved.segment<2>(2 * static_cast<Eigen::Index>(k));
+    }
+    if (surface) {
+      curve_.taper = std::min(solved[size - 1], 0.0);
+      curve_.radius = std::max(solved[size - 2], 1e-3);
+    }
   }
+
+  static constexpr double kRadiusStddev = 0.25;  // of the typical radius
+  static constexpr double kBend = 0.05;          // [1/sqrt(m)]
+
+  const std::vector<Sample>* samples_;
+  StemCurve curve_;
+  double max_radius_;
+  double reach_;
+  double low_ = 0.0;
+  double high_ = 0.0;
+  double spread_ = 0.0;
+  double foot_ = -std::numeric_limits<double>::infinity();
+  double foot_spread_ = 0.0;
+  double typical_radius_ = 0.0;
+  std::vector<double> shares_;
+  std::vector<double> trust_;
+  std::vector<double> posterior_;
+};
+
+/// The stretch of the prior that agrees best with what lies above and below it: leaves that the
+/// prior strays to do not. Every stretch is tried with several radii.
+CurveFit fitBestStretch(const std::vector<Sample>& samples, const StemCurve& start,
+                        double max_radius, double& low, double& high) {
+  std::vector<Sample> near;  // what any of the fits reaches
+  for (const Sample& sample : samples) {
+    constexpr double kReach = 2.0;  // max_radius
+    if ((sample.offset - start.centerAt(sample.height)).norm() < kReach * max_radius) {
+      near.push_back(sample);
+    }
+  }
+  constexpr double kStretch = 0.40;  // [m]
+  constexpr double kStep = 0.20;     // [m]
+  CurveFit best(near, start, max_radius);
+  double most = -std::numeric_limits<double>::infinity();
+  const double length = best.length();
+  const double last = std::max(0.0, length - kStretch);
+  const auto steps = static_cast<int>(std::ceil(last / kStep));
+  for (int k = 0; k <= steps; ++k) {
+    const double from = steps > 0 ? last * k / steps : 0.0;
+    const double to = std::min(from + kStretch, length);
+    std::vector<Sample> local;
+    for (const Sample& sample : near) {
+      if (sample.height < from || sample.height > to) continue;
+      local.push_back({sample.height - from, sample.offset});
+    }
+    if (local.size() < kMinPoints) continue;
+    StemCurve line;
+    line.spacing = (to - from) / std::ceil((to - from) / start.spacing);
+    for (double at = from; at < to + 0.5 * line.spacing; at += line.spacing) {
+      line.centers.push_back(start.centerAt(at));
+    }
+    CurveFit blob(local, line, max_radius);
+    blob.setActive(0.0, to - from);
+    for (const double width : {0.5, 0.42, 0.35}) blob.fitBlob(width * max_radius);
+    for (const double radius : {0.2, 0.3, 0.42, 0.58, 0.8}) {
+      CurveFit fit = blob;
+      fit.setRadius(radius * max_radius);
+      for (const double spread : {0.006, 0.005}) fit.fitSurface(spread);
+      for (int round = 0; round < 3; ++round) fit.fitSurface(fit.surfaceSpread());
+      const CurveFit whole = fit.continuedOver(near, start, from, to);
+      const double evidence = whole.evidence(from, to);
+      if (evidence <= most) continue;
+      most = evidence;
+      best = whole;
+      low = from;
+      high = to;
+    }
+  }
+  return best.over(samples);
 }
 
-/// A stem tapers: its radius is a line over the height. Robust, and more so against bands that look
-/// too thick, since leaf bases do that to them; a weak prior on the taper carries the line up to
-/// where only leaves are seen.
-void taperRadii(std::vector<Circle>& circles, const std::vector<float>& at) {
-  constexpr float kTaper = 0.25F;        // share of the lowest radius lost per metre
-  constexpr float kTaperStddev = 0.12F;  // of the same
-  constexpr float kThicker = 0.0007F;    // [m] residuals beyond which a band counts little
-  constexpr float kThinner = 0.0015F;
-  constexpr int kRounds = 15;
-  std::vector<float> radii;
-  for (const Circle& circle : circles) {
-    if (circle.weight > 0.0F) radii.push_back(circle.radius);
-  }
-  if (radii.empty()) return;
-  float level = lowQuantileOf(radii);
-  float slope = -kTaper * level;
-  for (int round = 0; round < kRounds; ++round) {
-    const float slope_stddev = kTaperStddev * level;
-    constexpr float kBandStddev = 0.002F;  // [m] of one fully believed band's radius
-    const float prior = kBandStddev * kBandStddev / (slope_stddev * slope_stddev);
-    Eigen::Matrix2f normal = Eigen::Vector2f(1e-6F, prior).asDiagonal();
-    Eigen::Vector2f right(0.0F, -prior * kTaper * level);
-    for (std::size_t k = 0; k < circles.size(); ++k) {
-      const float residual = circles[k].radius - (level + slope * at[k]);
-      const float relative = residual / (residual > 0.0F ? kThicker : kThinner);
-      constexpr float kFullBelief = 30.0F;
-      const float weight = confidence(circles[k]) / kFullBelief / (1.0F + relative * relative);
-      const Eigen::Vector2f row(1.0F, at[k]);
-      normal += weight * row * row.transpose();
-      right += weight * circles[k].radius * row;
+StemCurve curveAlong(const StemAxis& prior, const ChordFrame& frame) {
+  constexpr double kMostNodes = 80.0;
+  StemCurve curve;
+  const double count = std::clamp(std::ceil(frame.length / kNodeSpacing), 2.0, kMostNodes);
+  curve.spacing = frame.length / count;
+  for (std::size_t k = 0; k <= static_cast<std::size_t>(count); ++k) {
+    // Where the prior passes that height of the chord.
+    const double height = curve.spacing * static_cast<double>(k);
+    float s = static_cast<float>(height / frame.length) * prior.length();
+    for (int round = 0; round < 3; ++round) {
+      s += static_cast<float>(height - frame.toFrame(prior.pointAt(s)).height);
     }
-    const Eigen::Vector2f solved = normal.ldlt().solve(right);
-    level = std::max(solved[0], 1e-3F);
-    slope = std::min(solved[1], 0.0F);
+    curve.centers.push_back(frame.toFrame(prior.pointAt(s)).offset);
   }
-  constexpr float kThinnest = 0.25F;  // of the radius at the base
-  for (std::size_t k = 0; k < circles.size(); ++k) {
-    circles[k].radius = std::max(level + slope * at[k], kThinnest * level);
-  }
+  curve.radius = static_cast<double>(prior.nodes().front().radius);
+  return curve;
 }
 
 }  // namespace
@@ -222,48 +470,59 @@ void taperRadii(std::vector<Circle>& circles, const std::vector<float>& at) {
 Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
                    const std::vector<std::uint32_t>& members, const StemAxis& prior,
                    float max_radius) {
-  const std::vector<Band> bands = splitIntoBands(points, members, prior);
-  std::vector<float> at;
-  for (const Band& band : bands) at.push_back(band.arc_length);
-
-  // 1. One circle a band, from the stem's typical radius.
-  const float typical = typicalRadius(bands, max_radius);
-  std::vector<Circle> circles;
-  for (const Band& band : bands) {
-    Circle start;
-    start.radius = typical;
-    circles.push_back(fitCircle(band.offsets, start, 0.25F * typical, 0.5F * typical));
+  const ChordFrame frame(prior);
+  std::vector<Sample> samples;
+  for (const std::uint32_t i : members) {
+    const Sample sample = frame.toFrame(points[i]);
+    if (sample.height > -kNodeSpacing && sample.height < frame.length + kNodeSpacing) {
+      samples.push_back(sample);
+    }
   }
-  // 2. Again from what all bands say together, which pulls back those that locked on to a leaf.
-  std::vector<Circle> guide = circles;
-  smoothCenters(guide, at);
-  taperRadii(guide, at);
-  for (std::size_t k = 0; k < bands.size(); ++k) {
-    circles[k] = fitCircle(bands[k].offsets, guide[k], 0.1F * typical, 0.25F * typical);
-  }
-  // 3. Smoothed along the stem.
-  std::vector<Circle> final_circles = circles;
-  smoothCenters(final_circles, at);
-  taperRadii(final_circles, at);
-
   Midline midline;
-  std::vector<float> spreads;
-  std::vector<StemAxis::Node> nodes;
-  const auto addNode = [&](float s, const Circle& circle) {
-    const CrossFrame frame(prior.directionAt(s));
-    const Eigen::Vector3f position =
-        prior.pointAt(s) + circle.center.x() * frame.u + circle.center.y() * frame.v;
-    if (!nodes.empty() && position.z() <= nodes.back().position.z() + 0.01F) return;
-    nodes.push_back({position, std::min(circle.radius, max_radius)});
-  };
-  addNode(0.0F, final_circles.front());
-  for (std::size_t k = 0; k < final_circles.size(); ++k) {
-    if (final_circles[k].weight > 0.0F) spreads.push_back(final_circles[k].spread);
-    addNode(at[k], final_circles[k]);
+  midline.axis = prior;
+  midline.spread = 0.125F * max_radius;
+  if (samples.size() < kMinPoints) return midline;
+
+  // 1. A stretch that is surely stem.
+  double low = 0.0;
+  double high = 0.0;
+  CurveFit fit =
+      fitBestStretch(samples, curveAlong(prior, frame), static_cast<double>(max_radius), low, high);
+  if (!(high > low)) return midline;
+
+  // 2. From there up and down, straight on until points say otherwise.
+  constexpr double kExtend = 0.10;  // [m] a step
+  double spread = 0.004;            // [m] until the whole stem shows it
+  const double sure = low;
+  while (low > -kNodeSpacing || high < fit.length() + kNodeSpacing) {
+    fit.judge(low - kExtend, low);
+    fit.judge(high, high + kExtend);
+    low = std::max(low - kExtend, -kNodeSpacing);
+    high = std::min(high + kExtend, fit.length() + kNodeSpacing);
+    fit.setActive(low, high);
+    fit.fitSurface(spread);
   }
-  addNode(prior.length(), final_circles.back());
-  midline.axis = nodes.size() >= 2U ? StemAxis(std::move(nodes)) : prior;
-  midline.spread = spreads.empty() ? 0.25F * typical : lowQuantileOf(spreads);
+  // 3. The whole of it.
+  for (const double foot_spread : {0.02, 0.016, 0.012, 0.009, 0.006, 0.004, 0.0, 0.0}) {
+    fit.loosenBelow(sure, foot_spread);
+    fit.judge(low, high);
+    fit.fitSurface(spread);
+    if (foot_spread == 0.0) spread = fit.surfaceSpread();
+  }
+
+  std::vector<StemAxis::Node> nodes;
+  const StemCurve& curve = fit.curve();
+  for (std::size_t k = 0; k < curve.centers.size(); ++k) {
+    const double height = curve.spacing * static_cast<double>(k);
+    const Eigen::Vector3f position = frame.fromFrame(height, curve.centers[k]);
+    constexpr float kLeastRise = 1e-3F;
+    if (!nodes.empty() && position.z() <= nodes.back().position.z() + kLeastRise) continue;
+    nodes.push_back({position, std::min(static_cast<float>(curve.radiusAt(height)), max_radius)});
+  }
+  if (nodes.size() < 2U) return midline;
+  midline.axis = StemAxis(std::move(nodes));
+  midline.spread = static_cast<float>(spread);
+  midline.evidence = static_cast<float>(fit.evidence(low, high));
   return midline;
 }
 

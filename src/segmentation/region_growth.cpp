@@ -36,10 +36,11 @@ float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midli
   const StemAxis::Projection at = midline.axis.project(scene.points[i]);
   const LocalShape& shape = scene.shapes[i];
 
-  // Distance to the stem's surface, in units of what noise and out-of-roundness explain.
-  const float scale = std::hypot(midline.spread, 0.12F * at.radius);
-  const float away = (at.distance - at.radius) / scale;
-  constexpr float kSoftness = 0.125F;  // similarity 0.6 at two standard deviations
+  // Distance beyond the stem's surface, in units of what noise and out-of-roundness explain.
+  // Nothing but the stem itself lies within.
+  const float scale = std::hypot(midline.spread, 0.07F * at.radius);
+  const float away = std::max(at.distance - at.radius, 0.0F) / scale;
+  constexpr float kSoftness = 0.28F;  // similarity 0.5 at one and a half standard deviations
   const float on_surface = std::exp(-kSoftness * away * away);
 
   const float across = 1.0F - std::abs(shape.normal.dot(at.direction));

@@ -12,13 +12,13 @@
 #include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
+#include "field_phenotyping/segmentation/stem_verification.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 /// One stem on its way through the steps.
 struct Stem {
-  StemSeeds seeds;
   Midline midline;
   std::vector<std::uint32_t> points;
   GrowthSummary growth;
@@ -45,7 +45,7 @@ std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis
   const int steps = static_cast<int>(std::ceil(axis.length() / radius));
   for (int k = 0; k <= steps; ++k) {
     const float s = axis.length() * static_cast<float>(k) / static_cast<float>(steps);
-    scene.grid.forEachWithin(axis.pointAt(s), 1.2F * radius,
+    scene.grid.forEachWithin(axis.pointAt(s), 2.5F * radius,
                              [&](std::uint32_t i, float) { found.push_back(i); });
   }
   std::sort(found.begin(), found.end());
@@ -85,29 +85,28 @@ float structuralQuality(const GrowthScene& scene, const std::vector<std::uint32_
   return 0.5F * kept + 0.5F * compact;
 }
 
-Stem segmentStem(const GrowthScene& scene, StemSeeds seeds, const GroundModel& ground,
-                 const SegmentationParameters& parameters) {
-  Stem stem;
-  stem.seeds = std::move(seeds);
-  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
-
-  // Step 1. Start points give the axis prior; the points round it a first midline.
-  const StemAxis prior = axisFromSeeds(stem.seeds, ground, 0.5F * max_radius);
+/// Step 1: the start points give the axis prior, the points round it the midline and where it ends.
+Midline findMidline(const GrowthScene& scene, const StemSeeds& seeds, const GroundModel& ground,
+                    float max_radius) {
+  const StemAxis prior = axisFromSeeds(seeds, ground, 0.5F * max_radius);
   const std::vector<std::uint32_t> around = pointsAround(scene, prior, max_radius);
-  stem.midline = fitMidline(scene.points, around, prior, max_radius);
+  Midline midline = fitMidline(scene.points, around, prior, max_radius);
+  midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
+  // Without the leaves above, the axis points straight up through them, and shows its end better.
+  constexpr float kBeyond = 0.25F;  // [m]
+  midline = fitMidline(scene.points, around, midline.axis, max_radius);
+  midline.axis = midline.axis.extendedBy(kBeyond);
+  midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
+  return midline;
+}
 
-  // Step 2. Constrained growth, then the midline of what has grown, and growth about that.
-  std::vector<std::uint32_t> grown = growAlong(scene, stem.midline, parameters);
-  if (!grown.empty()) {
-    stem.midline = fitMidline(scene.points, grown, stem.midline.axis, max_radius);
-    stem.midline.axis = stem.midline.axis.below(findStemTop(scene.points, around, stem.midline));
-    grown = growAlong(scene, stem.midline, parameters);
-  }
-
-  // 2.4.2. Over-segmented points go.
+/// Steps 2 and 3: growth along the midline; what was over-segmented goes (2.4.2).
+Stem growStem(const GrowthScene& scene, Midline midline, const SegmentationParameters& parameters) {
+  Stem stem;
+  stem.midline = std::move(midline);
+  const std::vector<std::uint32_t> grown = growAlong(scene, stem.midline, parameters);
   stem.points = pruneByMidline(scene.points, grown, stem.midline.axis,
                                static_cast<float>(parameters.prune_factor));
-
   stem.growth.quality = structuralQuality(scene, grown, stem.points, stem.midline.axis);
   stem.growth.iterations = 1U;
   stem.growth.r1 = static_cast<float>(parameters.r1);
@@ -115,6 +114,45 @@ Stem segmentStem(const GrowthScene& scene, StemSeeds seeds, const GroundModel& g
   stem.growth.alpha = static_cast<float>(parameters.alpha);
   stem.growth.beta = static_cast<float>(parameters.beta);
   return stem;
+}
+
+void growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
+                    const GroundModel& ground, const SegmentationParameters& parameters,
+                    std::vector<Stem>& stems) {
+  for (const StemSeeds& one : seeds) {
+    Stem stem = growStem(
+        scene, findMidline(scene, one, ground, static_cast<float>(parameters.max_stem_radius)),
+        parameters);
+    if (!stem.points.empty()) stems.push_back(std::move(stem));
+  }
+}
+
+std::vector<Stem> onlyStems(const Block& block, const NeighborGrid& grid, std::vector<Stem> grown,
+                            const SegmentationParameters& parameters) {
+  std::vector<StemCandidate> candidates;
+  for (const Stem& stem : grown) candidates.push_back({stem.midline, stem.points});
+  std::vector<Stem> stems;
+  for (const std::size_t k : selectStems(block, grid, candidates, parameters)) {
+    stems.push_back(std::move(grown[k]));
+  }
+  return stems;
+}
+
+/// Points so near to a stem that no other one can begin there.
+std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
+                                          const std::vector<Stem>& stems) {
+  std::vector<std::uint8_t> explained(scene.points.size(), 0U);
+  constexpr float kStep = 0.02F;  // [m]
+  constexpr float kReach = 3.0F;  // standard deviations beyond the surface
+  for (const Stem& stem : stems) {
+    const StemAxis& axis = stem.midline.axis;
+    for (float s = 0.0F; s <= axis.length(); s += kStep) {
+      const float reach = axis.radiusAt(s) + kReach * stem.midline.spread;
+      scene.grid.forEachWithin(axis.pointAt(s), std::hypot(reach, 0.5F * kStep),
+                               [&](std::uint32_t i, float) { explained[i] = 1U; });
+    }
+  }
+  return explained;
 }
 
 /// A point that two stems claim goes to the one whose surface it is nearer to.
@@ -217,14 +255,23 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);
   const GrowthScene scene{points, shapes, grid};
 
-  // Step 1: start points; Steps 2-3: growth and pruning, stem by stem.
+  // Steps 1-3: start points, growth and pruning. What has grown shows which of them are stems.
   std::vector<Stem> stems;
-  for (StemSeeds& seeds : findStemSeeds(block, grid, shapes, parameters)) {
-    stems.push_back(segmentStem(scene, std::move(seeds), block.ground, parameters));
-  }
-  stems.erase(std::remove_if(stems.begin(), stems.end(),
-                             [](const Stem& stem) { return stem.points.empty(); }),
-              stems.end());
+  growCandidates(scene, findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright),
+                 block.ground, parameters, stems);
+  stems = onlyStems(block, grid, std::move(stems), parameters);
+  // Step 4: again, with other evidence, where nothing was found.
+  const std::size_t most = 8U + stems.size();  // few are missing where many were found
+  growCandidates(scene,
+                 findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kDensity,
+                               explainedPoints(scene, stems), most),
+                 block.ground, parameters, stems);
+  stems = onlyStems(block, grid, std::move(stems), parameters);
+  std::sort(stems.begin(), stems.end(), [](const Stem& a, const Stem& b) {
+    const Eigen::Vector3f low_a = a.midline.axis.nodes().front().position;
+    const Eigen::Vector3f low_b = b.midline.axis.nodes().front().position;
+    return low_a.x() != low_b.x() ? low_a.x() < low_b.x() : low_a.y() < low_b.y();
+  });
 
   // Every other organ to its plant.
   const std::vector<std::int32_t> stem_owner = resolveOwners(scene, stems);

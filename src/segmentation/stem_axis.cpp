@@ -60,6 +60,13 @@ StemAxis StemAxis::below(float s) const {
   return StemAxis(std::move(lower));
 }
 
+StemAxis StemAxis::extendedBy(float length) const {
+  if (!(length > 0.0F)) return *this;
+  std::vector<Node> longer = nodes_;
+  longer.push_back({pointAt(this->length() + length), nodes_.back().radius});
+  return StemAxis(std::move(longer));
+}
+
 StemAxis::Projection StemAxis::project(const Eigen::Vector3f& point) const {
   Projection best;
   best.distance = std::numeric_limits<float>::max();

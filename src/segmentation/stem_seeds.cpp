@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
 #include <numeric>
 #include <utility>
 
@@ -46,28 +45,45 @@ bool isFlat(const Eigen::Vector3f& point, const Block& block, const NeighborGrid
   return fine.neighbors >= kMinNeighbors && fine.curvature < kFlat;
 }
 
+/// What a point says about a stem in its slab; weight 0: nothing.
+Vote voteOf(std::size_t i, const Block& block, const NeighborGrid& grid,
+            const std::vector<LocalShape>& shapes, const SegmentationParameters& p,
+            SeedEvidence evidence) {
+  const Eigen::Vector3f& point = block.cloud.points[i];
+  if (evidence == SeedEvidence::kDensity) return {point, Eigen::Vector2f::Zero(), 1.0F};
+  const auto min_cosine = static_cast<float>(std::cos(p.max_lean * M_PI / 180.0));
+  const LocalShape& shape = shapes[i];
+  Vote vote{point, Eigen::Vector2f::Zero(), 0.0F};
+  if (shape.direction.z() < min_cosine) return vote;
+  const float upright = (shape.direction.z() - min_cosine) / (1.0F - min_cosine);
+  const float weight = shape.linearity * std::sqrt(upright);
+  constexpr float kMinWeight = 0.25F;
+  if (weight < kMinWeight || isFlat(point, block, grid, 0.5F * static_cast<float>(p.seed_radius))) {
+    return vote;
+  }
+  vote.slope = shape.direction.head<2>() / shape.direction.z();
+  vote.weight = weight;
+  return vote;
+}
+
 std::vector<std::vector<Vote>> collectVotes(const Block& block, const NeighborGrid& grid,
                                             const std::vector<LocalShape>& shapes,
-                                            const SegmentationParameters& p) {
+                                            const SegmentationParameters& p, SeedEvidence evidence,
+                                            const std::vector<std::uint8_t>& explained) {
   const auto min_height = static_cast<float>(p.seed_min_height);
   const auto slab_height = static_cast<float>(p.seed_slab);
-  const auto min_cosine = static_cast<float>(std::cos(p.max_lean * M_PI / 180.0));
   std::vector<std::vector<Vote>> slabs;
   for (std::size_t i = 0; i < block.cloud.size(); ++i) {
-    const Eigen::Vector3f& point = block.cloud.points[i];
-    const float height = block.ground.heightAbove(point);
-    const LocalShape& shape = shapes[i];
-    if (height < min_height || shape.direction.z() < min_cosine) continue;
-    const float upright = (shape.direction.z() - min_cosine) / (1.0F - min_cosine);
-    const float weight = shape.linearity * std::sqrt(upright);
-    constexpr float kMinWeight = 0.25F;
-    if (weight < kMinWeight) continue;
+    if (!explained.empty() && explained[i] != 0U) continue;
+    const float height = block.ground.heightAbove(block.cloud.points[i]);
+    if (height < min_height) continue;
     const auto slab = static_cast<std::size_t>((height - min_height) / slab_height);
     constexpr std::size_t kMaxSlabs = 2000U;
     if (slab >= kMaxSlabs) continue;
-    if (isFlat(point, block, grid, 0.5F * static_cast<float>(p.seed_radius))) continue;
+    const Vote vote = voteOf(i, block, grid, shapes, p, evidence);
+    if (!(vote.weight > 0.0F)) continue;
     if (slab >= slabs.size()) slabs.resize(slab + 1U);
-    slabs[slab].push_back({point, shape.direction.head<2>() / shape.direction.z(), weight});
+    slabs[slab].push_back(vote);
   }
   return slabs;
 }
@@ -151,36 +167,51 @@ struct Chain {
   float score = 0.0F;
 };
 
+/// A cluster that another one may continue, with what the step costs.
+struct Link {
+  std::size_t low;
+  float cost;
+};
+
+/// For every cluster those below that it may continue.
+std::vector<std::vector<Link>> linkClusters(const std::vector<Cluster>& clusters,
+                                            const NeighborGrid& grid, float slab_height,
+                                            float max_lean) {
+  const float reach = std::hypot(kMaxGap, kMaxGap * std::tan(max_lean) + 0.03F);
+  std::vector<std::vector<Link>> links(clusters.size());
+  for (std::size_t high = 0; high < clusters.size(); ++high) {
+    const Eigen::Vector3f& center = clusters[high].center;
+    grid.forEachWithin(center, reach, [&](std::uint32_t low, float) {
+      const int skipped = clusters[high].slab - clusters[low].slab - 1;
+      if (skipped < 0 || center.z() <= clusters[low].center.z()) return;
+      if (static_cast<float>(skipped) * slab_height > kMaxGap) return;
+      const float bend = misalignment(clusters[low], clusters[high]);
+      if (bend > 1.0F) return;
+      links[high].push_back({low, kGapCost * static_cast<float>(skipped) + 0.5F * bend * bend});
+    });
+  }
+  return links;
+}
+
 /// The chain of unused clusters with the most evidence, by dynamic programming from low to high.
-Chain bestChain(const std::vector<Cluster>& clusters,
-                const std::vector<std::vector<std::size_t>>& slabs, const NeighborGrid& grid,
-                float slab_height, float max_lean) {
+/// Clusters are ordered by slab.
+Chain bestChain(const std::vector<Cluster>& clusters, const std::vector<std::vector<Link>>& links) {
   std::vector<float> score(clusters.size(), 0.0F);
   std::vector<std::size_t> below(clusters.size(), kNone);
-  const float max_shift_per_metre = std::tan(max_lean);
   std::size_t best = kNone;
-  for (const auto& slab : slabs) {
-    for (const std::size_t high : slab) {
-      if (clusters[high].used) continue;
-      float gain = -kFloatCost * static_cast<float>(clusters[high].slab);
-      const Eigen::Vector3f& center = clusters[high].center;
-      const float reach = std::hypot(kMaxGap, kMaxGap * max_shift_per_metre + 0.03F);
-      grid.forEachWithin(center, reach, [&](std::uint32_t low, float) {
-        const int skipped = clusters[high].slab - clusters[low].slab - 1;
-        if (clusters[low].used || skipped < 0 || center.z() <= clusters[low].center.z()) return;
-        if (static_cast<float>(skipped) * slab_height > kMaxGap) return;
-        const float bend = misalignment(clusters[low], clusters[high]);
-        if (bend > 1.0F) return;
-        const float through =
-            score[low] - kGapCost * static_cast<float>(skipped) - 0.5F * bend * bend;
-        if (through > gain) {
-          gain = through;
-          below[high] = low;
-        }
-      });
-      score[high] = clusters[high].evidence + gain;
-      if (best == kNone || score[high] > score[best]) best = high;
+  for (std::size_t high = 0; high < clusters.size(); ++high) {
+    if (clusters[high].used) continue;
+    float gain = -kFloatCost * static_cast<float>(clusters[high].slab);
+    for (const Link& link : links[high]) {
+      if (clusters[link.low].used) continue;
+      const float through = score[link.low] - link.cost;
+      if (through > gain) {
+        gain = through;
+        below[high] = link.low;
+      }
     }
+    score[high] = clusters[high].evidence + gain;
+    if (best == kNone || score[high] > score[best]) best = high;
   }
   Chain chain;
   if (best == kNone) return chain;
@@ -189,77 +220,6 @@ Chain bestChain(const std::vector<Cluster>& clusters,
   std::reverse(chain.clusters.begin(), chain.clusters.end());
   return chain;
 }
-
-/// Where the line through the lowest seeds meets the soil.
-Eigen::Vector2f baseOf(const std::vector<Eigen::Vector3f>& points, const GroundModel& ground) {
-  const Eigen::Vector3f& low = points.front();
-  std::size_t i = 1;
-  constexpr float kLever = 0.25F;
-  while (i + 1 < points.size() && points[i].z() - low.z() < kLever) ++i;
-  const Eigen::Vector3f step = points[i] - low;
-  const float drop = ground.heightAbove(low);
-  const Eigen::Vector2f slope = step.head<2>() / std::max(step.z(), 0.05F);
-  return low.head<2>() - drop * slope;
-}
-
-float horizontalDistanceAt(const std::vector<Eigen::Vector3f>& chain,
-                           const Eigen::Vector3f& point) {
-  std::size_t i = 0;
-  while (i + 2 < chain.size() && chain[i + 1].z() < point.z()) ++i;
-  const Eigen::Vector3f step = chain[i + 1] - chain[i];
-  const float share = step.z() > 0.0F ? (point.z() - chain[i].z()) / step.z() : 0.0F;
-  return (chain[i] + share * step - point).head<2>().norm();
-}
-
-/// A leaf that rises from an accepted stem begins on it; so does a tiller.
-bool branchesOff(const std::vector<Eigen::Vector3f>& chain, const std::vector<StemSeeds>& accepted,
-                 const GroundModel& ground, float min_spacing) {
-  const Eigen::Vector2f base = baseOf(chain, ground);
-  for (const StemSeeds& stem : accepted) {
-    if ((baseOf(stem.points, ground) - base).norm() < min_spacing) return true;
-    constexpr float kSameStem = 0.06F;
-    const bool overlaps = chain.front().z() <= stem.points.back().z() + kMaxGap;
-    constexpr float kFloating = 0.30F;  // [m] above the soil: too high for a stem of its own
-    if (overlaps && ground.heightAbove(chain.front()) > kFloating &&
-        horizontalDistanceAt(stem.points, chain.front()) < 2.0F * kSameStem) {
-      return true;
-    }
-    if (overlaps && horizontalDistanceAt(stem.points, chain.front()) < kSameStem) return true;
-  }
-  return false;
-}
-
-/// Height of the canopy round every place: the highest points of coarse cells and their neighbours.
-class CanopyHeight {
- public:
-  explicit CanopyHeight(const Block& block) {
-    for (const Eigen::Vector3f& point : block.cloud.points) {
-      float& height = heights_[cellOf(point)];
-      height = std::max(height, block.ground.heightAbove(point));
-    }
-  }
-
-  float around(const Eigen::Vector3f& point) const {
-    const auto [x, y] = cellOf(point);
-    float height = 0.0F;
-    for (int dy = -1; dy <= 1; ++dy) {
-      for (int dx = -1; dx <= 1; ++dx) {
-        const auto cell = heights_.find({x + dx, y + dy});
-        if (cell != heights_.end()) height = std::max(height, cell->second);
-      }
-    }
-    return height;
-  }
-
- private:
-  static std::pair<int, int> cellOf(const Eigen::Vector3f& point) {
-    constexpr float kCell = 0.25F;
-    return {static_cast<int>(std::floor(point.x() / kCell)),
-            static_cast<int>(std::floor(point.y() / kCell))};
-  }
-
-  std::map<std::pair<int, int>, float> heights_;
-};
 
 /// Draws the seeds that stray on to leaves back to the stem's own gentle curve: a parabola over the
 /// height, fitted robustly.
@@ -297,59 +257,19 @@ void drawToCurve(std::vector<Eigen::Vector3f>& seeds) {
   }
 }
 
-/// Root mean square distance of a chain from the straight line that fits it best.
-float deviationFromLine(const std::vector<Eigen::Vector3f>& chain) {
-  Eigen::Vector3f mean = Eigen::Vector3f::Zero();
-  for (const Eigen::Vector3f& point : chain) mean += point;
-  mean /= static_cast<float>(chain.size());
-  Eigen::Vector2f slope = Eigen::Vector2f::Zero();
-  float squares = 0.0F;
-  for (const Eigen::Vector3f& point : chain) {
-    slope += (point.z() - mean.z()) * (point - mean).head<2>();
-    squares += (point.z() - mean.z()) * (point.z() - mean.z());
-  }
-  slope /= squares;
-  float sum = 0.0F;
-  for (const Eigen::Vector3f& point : chain) {
-    sum += ((point - mean).head<2>() - (point.z() - mean.z()) * slope).squaredNorm();
-  }
-  return std::sqrt(sum / static_cast<float>(chain.size()));
-}
-
-/// A stem is straight and long for the canopy round it, the longer the more of its foot is hidden.
-/// Hanging and upright leaves are not.
-bool standsLikeAStem(const std::vector<Eigen::Vector3f>& chain, const GroundModel& ground,
-                     const CanopyHeight& canopy, const SegmentationParameters& parameters) {
-  if (chain.size() < 2U) return false;
-  const float length = chain.back().z() - chain.front().z();
-  const float bottom = ground.heightAbove(chain.front());
-  if (length < static_cast<float>(parameters.seed_min_length) ||
-      bottom > static_cast<float>(parameters.seed_max_height)) {
-    return false;
-  }
-  const float tallest = canopy.around(chain.front());
-  constexpr float kLengthShare = 0.25F;  // of the canopy's height
-  constexpr float kHiddenShare = 0.8F;   // of what is hidden below
-  if (length < kLengthShare * tallest + kHiddenShare * bottom) return false;
-  constexpr float kJitter = 0.008F;  // [m] of the clusters' centres
-  constexpr float kBend = 0.02F;     // of the length
-  return deviationFromLine(chain) <= kJitter + kBend * length;
-}
-
 }  // namespace
 
 std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& block_grid,
                                      const std::vector<LocalShape>& shapes,
-                                     const SegmentationParameters& parameters) {
+                                     const SegmentationParameters& parameters,
+                                     SeedEvidence evidence,
+                                     const std::vector<std::uint8_t>& explained, std::size_t most) {
   // 1. Upright clusters in every slab over the local soil.
   const auto max_stem_radius = static_cast<float>(parameters.max_stem_radius);
-  const auto votes = collectVotes(block, block_grid, shapes, parameters);
+  const auto votes = collectVotes(block, block_grid, shapes, parameters, evidence, explained);
   std::vector<Cluster> clusters;
-  std::vector<std::vector<std::size_t>> slabs(votes.size());
   for (std::size_t slab = 0; slab < votes.size(); ++slab) {
-    const std::size_t first = clusters.size();
     clusterSlab(votes[slab], static_cast<int>(slab), max_stem_radius, clusters);
-    for (std::size_t c = first; c < clusters.size(); ++c) slabs[slab].push_back(c);
   }
   normaliseEvidence(clusters);
   if (clusters.empty()) return {};
@@ -359,12 +279,11 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& blo
   const NeighborGrid grid(centers, 0.2F);
 
   // 2. The best chain of clusters, again and again, until what is left is too short or too weak.
-  const auto slab_height = static_cast<float>(parameters.seed_slab);
-  const auto max_lean = static_cast<float>(parameters.max_lean * M_PI / 180.0);
-  const CanopyHeight canopy(block);
+  const auto links = linkClusters(clusters, grid, static_cast<float>(parameters.seed_slab),
+                                  static_cast<float>(parameters.max_lean * M_PI / 180.0));
   std::vector<StemSeeds> stems;
-  for (;;) {
-    const Chain chain = bestChain(clusters, slabs, grid, slab_height, max_lean);
+  while (stems.size() < most) {
+    const Chain chain = bestChain(clusters, links);
     if (chain.score < static_cast<float>(parameters.seed_min_score)) break;
     StemSeeds stem;
     stem.score = chain.score;
@@ -377,9 +296,10 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& blo
                            if (clusters[k].slab == clusters[c].slab) clusters[k].used = true;
                          });
     }
-    if (!standsLikeAStem(stem.points, block.ground, canopy, parameters)) continue;
-    if (branchesOff(stem.points, stems, block.ground,
-                    static_cast<float>(parameters.min_plant_spacing))) {
+    const float length = stem.points.back().z() - stem.points.front().z();
+    if (stem.points.size() < 2U || length < static_cast<float>(parameters.seed_min_length) ||
+        block.ground.heightAbove(stem.points.front()) >
+            static_cast<float>(parameters.seed_max_height)) {
       continue;
     }
     drawToCurve(stem.points);

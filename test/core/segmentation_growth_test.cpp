@@ -405,7 +405,7 @@ TEST(RegionGrowth, NoMoreJoinTheStricterMIs) {
     counts.push_back(count);
   }
   EXPECT_GT(counts.front(), 1500U);
-  EXPECT_LT(counts.back(), 50U) << "hardly anything is perfectly alike";
+  EXPECT_LT(counts.back(), 150U) << "hardly anything is perfectly alike";
 }
 
 TEST(Similarity, FallsWithDistanceFromTheSurface) {
@@ -583,21 +583,67 @@ TEST(Midline, TooFewPointsGiveThePriorBack) {
 
 // ---------------------------------------------------------------------------- top
 
-TEST(StemTop, BelowTheTassel) {
-  // A stem of 1.2 m with a thin spike of 0.4 m going straight on.
+/// Adds thin straight branches that start on the axis x = y = 0 and lean outwards all round.
+void addBranches(Points& points, float from, float to, int count, unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<float> unit(0.0F, 1.0F);
+  std::normal_distribution<float> noise(0.0F, 0.0015F);
+  for (int branch = 0; branch < count; ++branch) {
+    const float azimuth =
+        6.28F * (static_cast<float>(branch) + unit(random)) / static_cast<float>(count);
+    const float start = from + (to - from) * static_cast<float>(branch) / static_cast<float>(count);
+    const float lean = 0.35F + 0.4F * unit(random);
+    for (float t = 0.0F; t < 0.15F; t += 0.005F) {
+      points.emplace_back(t * std::sin(lean) * std::cos(azimuth) + noise(random),
+                          t * std::sin(lean) * std::sin(azimuth) + noise(random),
+                          start + t * std::cos(lean) + noise(random));
+    }
+  }
+}
+
+TEST(StemTop, BelowTheTasselsBranches) {
+  // A stem of 1.2 m; above it the spike goes straight on for 0.35 m and branches leave all round.
   for (const unsigned seed : {13U, 14U, 15U}) {
-    const StemAxis stem = verticalAxis(1.2F, 0.011F);
-    const StemAxis whole = verticalAxis(1.6F, 0.011F);
-    Points points = surfaceOf(stem, 1500U, 0.002, 2.0 * M_PI, seed);
-    const StemAxis spike({{{0.0F, 0.0F, 1.2F}, 0.002F}, {{0.0F, 0.0F, 1.6F}, 0.001F}});
-    for (const Eigen::Vector3f& point : surfaceOf(spike, 300U, 0.0015, 2.0 * M_PI, seed)) {
+    Points points = surfaceOf(verticalAxis(1.2F, 0.009F), 1000U, 0.002, 2.0 * M_PI, seed);
+    const StemAxis spike({{{0.0F, 0.0F, 1.2F}, 0.004F}, {{0.0F, 0.0F, 1.55F}, 0.002F}});
+    for (const Eigen::Vector3f& point : surfaceOf(spike, 200U, 0.002, 2.0 * M_PI, seed)) {
       points.push_back(point);
     }
+    addBranches(points, 1.2F, 1.3F, 9, seed);
     Midline midline;
-    midline.axis = whole;
+    midline.axis = verticalAxis(1.6F, 0.009F);
     midline.spread = 0.002F;
-    EXPECT_NEAR(findStemTop(points, allOf(points), midline), 1.2F, 0.08F) << "seed " << seed;
+    EXPECT_NEAR(findStemTop(points, allOf(points), midline), 1.2F, 0.03F) << "seed " << seed;
   }
+}
+
+TEST(StemTop, WhereTheWhorlOpens) {
+  // No tassel: above the stem leaves lean away from its axis, so that nothing is left on it.
+  for (const unsigned seed : {16U, 17U, 18U}) {
+    Points points = surfaceOf(verticalAxis(0.7F, 0.01F), 600U, 0.002, 2.0 * M_PI, seed);
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<float> unit(-1.0F, 1.0F);
+    for (int k = 0; k < 900; ++k) {  // two opposite blades, 6 cm wide
+      const float t = 0.25F * (1.0F + unit(random));
+      const float side = k % 2 == 0 ? 1.0F : -1.0F;
+      points.emplace_back(side * (0.01F + 0.25F * t), 0.03F * unit(random), 0.68F + t);
+    }
+    Midline midline;
+    midline.axis = verticalAxis(1.1F, 0.01F);
+    midline.spread = 0.002F;
+    EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.7F, 0.06F) << "seed " << seed;
+  }
+}
+
+TEST(StemTop, NotAtAnEar) {
+  // An ear half way up bursts out of the stem as a tassel does, but leaves and stem go on above it.
+  Points points = surfaceOf(verticalAxis(1.6F, 0.01F), 1600U, 0.002, 2.0 * M_PI, 19U);
+  addBranches(points, 1.1F, 1.15F, 9, 19U);
+  addBranches(points, 1.4F, 1.45F, 9, 20U);
+  Midline midline;
+  midline.axis = verticalAxis(1.6F, 0.01F);
+  midline.spread = 0.002F;
+  EXPECT_GT(findStemTop(points, allOf(points), midline), 1.35F);
 }
 
 TEST(StemTop, WhereNothingEndsIt) {
@@ -605,7 +651,8 @@ TEST(StemTop, WhereNothingEndsIt) {
   midline.axis = maizeStem();
   midline.spread = 0.0015F;
   const Points points = surfaceOf(maizeStem(), 2000U, 0.0015, 2.0 * M_PI, 16U);
-  EXPECT_NEAR(findStemTop(points, allOf(points), midline), maizeStem().length(), 1e-5F);
+  EXPECT_NEAR(findStemTop(points, allOf(points), midline), maizeStem().length(), 0.051F)
+      << "to one band";
   EXPECT_NEAR(findStemTop({}, {}, midline), maizeStem().length(), 1e-5F);
 }
 

@@ -376,7 +376,7 @@ TEST(StemSeeds, RiseAlongTheStem) {
   const auto radius = static_cast<float>(parameters.seed_radius);
   const NeighborGrid grid(block.cloud.points, radius);
   const auto shapes = computeLocalShapes(block.cloud.points, grid, radius);
-  const auto seeds = findStemSeeds(block, grid, shapes, parameters);
+  const auto seeds = findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright);
   ASSERT_EQ(seeds.size(), scene.plants.size());
   float x = -10.0F;
   for (const StemSeeds& stem : seeds) {

@@ -48,7 +48,7 @@ class RealClouds(ProgramTest):
         # times sparser on its stems than a rover's.
         self.run_on('ao2021_two_rows')
         self.assert_checks(
-            'ao2021_two_rows', 'ao2021_two_rows.truth.csv', 'matched>=25', 'false_plants<=5'
+            'ao2021_two_rows', 'ao2021_two_rows.truth.csv', 'matched>=25', 'false_plants<=3'
         )
 
     def test_two_plants_on_ridged_soil(self):
@@ -59,16 +59,16 @@ class RealClouds(ProgramTest):
         self.assertGreaterEqual(heights[-1], 2.05)
         self.assertLessEqual(heights[-1], 2.15)
 
-    # The truth of these counts ears and tassel as stem, which here are other organs: the goal of 0.6
-    # is missed on two of three for lack of recall.
+    # The truth of these counts ears and tassel as stem, which here are other organs: what is missed of
+    # 0.6 and more is recall.
     def test_maizefield3d_T8(self):
-        self.assert_one_plant('maizefield3d_T8', stem_f1=0.45)
+        self.assert_one_plant('maizefield3d_T8', stem_f1=0.6)
 
     def test_maizefield3d_A679(self):
         self.assert_one_plant('maizefield3d_A679', stem_f1=0.6)
 
     def test_maizefield3d_78551S(self):
-        self.assert_one_plant('maizefield3d_78551S', stem_f1=0.5)
+        self.assert_one_plant('maizefield3d_78551S', stem_f1=0.59)
 
     def test_label3dmaize_v_12_1(self):
         self.assert_one_plant('label3dmaize_v-12-1', stem_f1=0.6)

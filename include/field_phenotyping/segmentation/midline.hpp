@@ -11,18 +11,23 @@ namespace field_phenotyping {
 /// A stem's midline with what the points round it look like.
 struct Midline {
   StemAxis axis;
-  float spread = 0.0F;  ///< robust standard deviation of the points about the stem surface [m]
+  float spread = 0.0F;    ///< robust standard deviation of the points about the stem surface [m]
+  float evidence = 0.0F;  ///< log likelihood gained by a stem there over leaves and noise alone
 };
 
-/// Fits the curved midline of a stem and its radius profile (2.4.2, Step 1; Eq 15 made piecewise):
-/// a robust circle across the axis in every height band, smoothed along the stem. Half-seen stems
-/// are centred by their curvature as far as the points carry it, else by the neighbouring bands.
+/// Fits the curved midline of a stem and its radius profile (2.4.2, Step 1; Eq 15 made a curve that
+/// bends little).
+///
+/// Expectation maximisation of a thin skin of stem points among leaf points: it begins at the stretch
+/// of the prior that agrees best with what lies straight above and below it, grows from there up and
+/// down, and trusts bands where leaves crowd little. The end of the stem is not looked for here: see
+/// findStemTop(). A half-seen stem is centred by its curvature and by a prior on radius and taper.
 ///
 /// @param points     candidates, local frame [m]
-/// @param members    indices of the stem's points (leaf points among them are survived)
-/// @param prior      rough axis; its direction frames the bands
+/// @param members    indices of the points round the stem (leaf points among them are survived)
+/// @param prior      rough axis; its ends are the midline's
 /// @param max_radius thickest stem that is believed [m]
-/// Gives back the prior where there are too few points.
+/// Gives back the prior where there are too few points. Thread-safe; deterministic.
 Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
                    const std::vector<std::uint32_t>& members, const StemAxis& prior,
                    float max_radius);

@@ -39,6 +39,8 @@ class StemAxis {
 
   /// The part of the axis below arc length `s`, which is clamped so that something remains.
   StemAxis below(float s) const;
+  /// The axis carried on straight beyond its top.
+  StemAxis extendedBy(float length) const;
 
   float length() const { return arc_lengths_.empty() ? 0.0F : arc_lengths_.back(); }
   bool empty() const { return nodes_.empty(); }

@@ -16,13 +16,25 @@ struct StemSeeds {
   float score = 0.0F;  ///< stem evidence: about the number of slabs that show the stem
 };
 
-/// Finds the stems of a block. Leaves at stem height, weeds and gaps are survived because evidence
-/// must persist vertically: a stem is the best-supported chain of upright clusters over the slabs.
+/// What makes a point a vote for a stem.
+enum class SeedEvidence {
+  kUpright,  ///< its neighbourhood is a line that stands up
+  kDensity,  ///< that it is there: for stems too sparse or too hidden to show a shape
+};
+
+/// Finds candidates for the stems of a block. Leaves at stem height, weeds and gaps are survived
+/// because evidence must persist vertically: a stem is the best-supported chain of clusters of
+/// votes over the slabs. Some candidates are leaves; what grows from them shows it (selectStems).
 /// Ordered by x, then y, of the lowest seed.
-/// @param grid   over the points of `block.cloud`
-/// @param shapes local shape of every point of `block.cloud`
+/// @param grid      over the points of `block.cloud`
+/// @param shapes    local shape of every point of `block.cloud`
+/// @param explained points to leave out, 1 each; empty: none
+/// @param most      candidates; the best-supported ones
 std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& grid,
                                      const std::vector<LocalShape>& shapes,
-                                     const SegmentationParameters& parameters);
+                                     const SegmentationParameters& parameters,
+                                     SeedEvidence evidence,
+                                     const std::vector<std::uint8_t>& explained = {},
+                                     std::size_t most = 1000U);
 
 }  // namespace field_phenotyping

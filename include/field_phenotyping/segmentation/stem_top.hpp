@@ -7,13 +7,13 @@
 
 namespace field_phenotyping {
 
-/// Finds where a stem ends below its tassel: the arc length [m] on the midline above which the
-/// points near it are better explained by a thin spike than by a stem of the tapered radius.
+/// Finds where a stem ends: the arc length [m] on a midline that may run on through leaves or tassel.
 ///
-/// The tassel continues the stem in a straight line, so direction does not tell them apart;
-/// thickness does. Compares the likelihoods of the points' distances from the axis under both, with
-/// leaf points as clutter in either, and cuts where the whole upper part favours the spike most.
-/// Gives midline.axis.length() where nothing does.
+/// Two things end it. The core of the axis empties where the whorl opens, for leaves lean away from
+/// it: the cut parts bands that have a stem's number of points from bands that have few. Or the
+/// tassel begins: its spike continues the stem, but its side branches leave it all round, above a
+/// bare stretch, and nothing comes after them. Of several such places the highest is the tassel's,
+/// the others are ears'. Gives midline.axis.length() where neither is found.
 ///
 /// @param points  local frame [m]
 /// @param members indices of the points near the midline, leaf points included

@@ -1,0 +1,249 @@
+#include "field_phenotyping/segmentation/stem_verification.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <numeric>
+#include <utility>
+
+namespace field_phenotyping {
+namespace {
+
+/// Height of the canopy round every place: the highest points of coarse cells and their neighbours.
+class CanopyHeight {
+ public:
+  explicit CanopyHeight(const Block& block) {
+    for (const Eigen::Vector3f& point : block.cloud.points) {
+      float& height = heights_[cellOf(point)];
+      height = std::max(height, block.ground.heightAbove(point));
+    }
+  }
+
+  float around(const Eigen::Vector3f& point) const {
+    const auto [x, y] = cellOf(point);
+    float height = 0.0F;
+    for (int dy = -1; dy <= 1; ++dy) {
+      for (int dx = -1; dx <= 1; ++dx) {
+        const auto cell = heights_.find({x + dx, y + dy});
+        if (cell != heights_.end()) height = std::max(height, cell->second);
+      }
+    }
+    return height;
+  }
+
+ private:
+  static std::pair<int, int> cellOf(const Eigen::Vector3f& point) {
+    constexpr float kCell = 0.25F;
+    return {static_cast<int>(std::floor(point.x() / kCell)),
+            static_cast<int>(std::floor(point.y() / kCell))};
+  }
+
+  std::map<std::pair<int, int>, float> heights_;
+};
+
+/// How much of a stem's length, from the soil up, shows it.
+struct Visibility {
+  float filled = 0.0F;  ///< share of the bands with points of the stem
+  float clear = 0.0F;   ///< share where points crowd in its skin rather than all round
+};
+
+Visibility visibilityOf(const Block& block, const NeighborGrid& grid, const StemCandidate& stem,
+                        float band_height) {
+  const StemAxis& axis = stem.midline.axis;
+  const auto bands =
+      std::max<std::size_t>(static_cast<std::size_t>(std::ceil(axis.length() / band_height)), 1U);
+  std::vector<std::uint32_t> counts(bands, 0U);
+  std::vector<float> inside(bands, 0.0F);
+  std::vector<float> around(bands, 0.0F);
+  const auto bandOf = [&](float s) {
+    return std::min(static_cast<std::size_t>(std::max(s, 0.0F) / band_height), bands - 1U);
+  };
+  for (const std::uint32_t i : stem.points) {
+    ++counts[bandOf(axis.project(block.cloud.points[i]).arc_length)];
+  }
+  for (std::size_t band = 0; band < bands; ++band) {
+    const float middle = (static_cast<float>(band) + 0.5F) * band_height;
+    const float skin = axis.radiusAt(middle) + 2.0F * stem.midline.spread;
+    const Eigen::Vector3f center = axis.pointAt(middle);
+    const Eigen::Vector3f direction = axis.directionAt(middle);
+    grid.forEachWithin(center, std::hypot(2.0F * skin, 0.5F * band_height),
+                       [&](std::uint32_t i, float squared) {
+                         const float along = direction.dot(block.cloud.points[i] - center);
+                         if (std::abs(along) > 0.5F * band_height) return;
+                         const float distance = std::sqrt(std::max(squared - along * along, 0.0F));
+                         if (distance < skin) {
+                           inside[band] += 1.0F;
+                         } else if (distance < 2.0F * skin) {
+                           around[band] += 1.0F;
+                         }
+                       });
+  }
+  constexpr std::uint32_t kLeastPoints = 2U;
+  constexpr float kCrowded = 0.67F;  // twice what the areas of disc and ring would give
+  Visibility visible;
+  for (std::size_t band = 0; band < bands; ++band) {
+    if (counts[band] >= kLeastPoints) visible.filled += 1.0F;
+    if (inside[band] >= static_cast<float>(kLeastPoints) &&
+        inside[band] > kCrowded * around[band]) {
+      visible.clear += 1.0F;
+    }
+  }
+  visible.filled /= static_cast<float>(bands);
+  visible.clear /= static_cast<float>(bands);
+  return visible;
+}
+
+/// Bands in which a stem of this block shows some points, whatever the density of the cloud.
+float bandHeight(const std::vector<StemCandidate>& candidates) {
+  constexpr float kShortest = 0.05F;  // [m]
+  constexpr float kLongest = 0.20F;
+  constexpr float kPoints = 6.0F;
+  std::vector<float> densities;
+  for (const StemCandidate& stem : candidates) {
+    densities.push_back(static_cast<float>(stem.points.size()) / stem.midline.axis.length());
+  }
+  if (densities.empty()) return kShortest;
+  const auto middle = densities.begin() + static_cast<std::ptrdiff_t>(densities.size() / 2U);
+  std::nth_element(densities.begin(), middle, densities.end());
+  return std::clamp(kPoints / *middle, kShortest, kLongest);
+}
+
+Eigen::Vector3f baseOf(const Block& block, const StemCandidate& stem) {
+  const Eigen::Vector3f low = stem.midline.axis.nodes().front().position;
+  return stem.midline.axis.pointAtHeight(block.ground.heightAt(low.x(), low.y()));
+}
+
+/// How much more a candidate is like a stem than like leaves and noise.
+float meritOf(const Block& block, const NeighborGrid& grid, const StemCandidate& stem,
+              float canopy_height, float band_height) {
+  const Visibility visible = visibilityOf(block, grid, stem, band_height);
+  const std::vector<StemAxis::Node>& nodes = stem.midline.axis.nodes();
+  const float upright = (nodes.back().position - nodes.front().position).normalized().z();
+  constexpr float kShortest = 0.1F;  // of the canopy's height: no stem
+  constexpr float kLow = 0.2F;       // hardly one
+  const float length = stem.midline.axis.length() / canopy_height;
+  const float tall = std::clamp((length - kShortest) / (kLow - kShortest), 0.0F, 1.0F);
+  return tall * upright * upright * visible.filled * visible.clear * stem.midline.evidence /
+         canopy_height;
+}
+
+/// The stems of one stand are about as thick as one another; what grows along leaves often is not.
+float thicknessFit(const StemCandidate& stem, float typical) {
+  constexpr float kSpread = 0.35F;  // of the logarithm
+  constexpr float kError = 0.003F;  // [m] of either radius
+  const float off =
+      std::log((stem.midline.axis.radiusAt(0.0F) + kError) / (typical + kError)) / kSpread;
+  return std::exp(-0.5F * off * off);
+}
+
+/// Plants of one stand keep their distance: what stands far nearer to a better stem than the others
+/// do to one another must be nearly as good. `stems` come best first.
+std::vector<std::size_t> withoutCrowding(const std::vector<std::size_t>& stems,
+                                         const std::vector<Eigen::Vector3f>& bases,
+                                         const std::vector<float>& merits) {
+  constexpr std::size_t kLeastStems = 4U;
+  if (stems.size() < kLeastStems) return stems;
+  const auto apart = [&](std::size_t a, std::size_t b) {
+    return (bases[a] - bases[b]).head<2>().norm();
+  };
+  std::vector<float> spacings;
+  for (const std::size_t a : stems) {
+    float nearest = std::numeric_limits<float>::max();
+    for (const std::size_t b : stems) {
+      if (a != b) nearest = std::min(nearest, apart(a, b));
+    }
+    spacings.push_back(nearest);
+  }
+  const auto middle = spacings.begin() + static_cast<std::ptrdiff_t>(spacings.size() / 2U);
+  std::nth_element(spacings.begin(), middle, spacings.end());
+  constexpr float kCrowded = 0.5F;  // of the median spacing
+  constexpr float kAsGood = 0.6F;   // as the better one
+  std::vector<std::size_t> kept;
+  for (const std::size_t c : stems) {
+    const bool crowds = std::any_of(kept.begin(), kept.end(), [&](std::size_t better) {
+      return apart(c, better) < kCrowded * *middle && merits[c] < kAsGood * merits[better];
+    });
+    if (!crowds) kept.push_back(c);
+  }
+  return kept;
+}
+
+float typicalRadius(const std::vector<StemCandidate>& candidates,
+                    const std::vector<float>& merits) {
+  const float best = *std::max_element(merits.begin(), merits.end());
+  std::vector<float> radii;
+  for (std::size_t c = 0; c < candidates.size(); ++c) {
+    constexpr float kGood = 0.4F;
+    if (merits[c] >= kGood * best) radii.push_back(candidates[c].midline.axis.radiusAt(0.0F));
+  }
+  const auto middle = radii.begin() + static_cast<std::ptrdiff_t>(radii.size() / 2U);
+  std::nth_element(radii.begin(), middle, radii.end());
+  return *middle;
+}
+
+}  // namespace
+
+std::vector<std::size_t> selectStems(const Block& block, const NeighborGrid& grid,
+                                     const std::vector<StemCandidate>& candidates,
+                                     const SegmentationParameters& parameters) {
+  if (candidates.empty()) return {};
+  const CanopyHeight canopy(block);
+  const float band_height = bandHeight(candidates);
+  std::vector<float> merits;
+  std::vector<Eigen::Vector3f> bases;
+  for (const StemCandidate& stem : candidates) {
+    bases.push_back(baseOf(block, stem));
+    constexpr float kLowestCanopy = 0.1F;  // [m]
+    const float height = std::max(canopy.around(bases.back()), kLowestCanopy);
+    merits.push_back(meritOf(block, grid, stem, height, band_height));
+  }
+  const float typical = typicalRadius(candidates, merits);
+  for (std::size_t c = 0; c < candidates.size(); ++c) {
+    merits[c] *= thicknessFit(candidates[c], typical);
+  }
+  std::vector<std::size_t> order(candidates.size());
+  std::iota(order.begin(), order.end(), 0U);
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    return merits[a] != merits[b] ? merits[a] > merits[b] : a < b;
+  });
+
+  // Of several candidates for one stem the best.
+  std::vector<std::size_t> distinct;
+  std::vector<std::uint8_t> taken(block.cloud.size(), 0U);
+  for (const std::size_t c : order) {
+    const std::vector<std::uint32_t>& points = candidates[c].points;
+    constexpr float kLeastMerit = 3.0F;
+    if (merits[c] < kLeastMerit) break;
+    const bool too_near = std::any_of(distinct.begin(), distinct.end(), [&](std::size_t other) {
+      return (bases[c] - bases[other]).head<2>().norm() <
+             static_cast<float>(parameters.min_plant_spacing);
+    });
+    if (too_near) continue;
+    const auto shared = static_cast<std::size_t>(std::count_if(
+        points.begin(), points.end(), [&](std::uint32_t i) { return taken[i] != 0U; }));
+    constexpr std::size_t kMostShared = 3U;  // one in three
+    if (shared * kMostShared > points.size()) continue;
+    for (const std::uint32_t i : points) taken[i] = 1U;
+    distinct.push_back(c);
+  }
+  if (distinct.empty()) return {};
+
+  // Measured against what good ones have.
+  std::vector<float> good;
+  for (const std::size_t c : distinct) {
+    constexpr float kGood = 0.3F;
+    if (merits[c] >= kGood * merits[distinct.front()]) good.push_back(merits[c]);
+  }
+  const float usual = good[good.size() / 2U];
+  constexpr float kLeastShare = 0.25F;
+  std::vector<std::size_t> stems;
+  for (const std::size_t c : distinct) {
+    if (merits[c] >= kLeastShare * usual) stems.push_back(c);
+  }
+  stems = withoutCrowding(stems, bases, merits);
+  std::sort(stems.begin(), stems.end());
+  return stems;
+}
+
+}  // namespace field_phenotyping
