@@ -98,11 +98,15 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
   constexpr std::size_t kWindow = 8U;   // steps compared
   constexpr double kEmergence = 0.015;  // [m] of stem that branches need to leave its skin
   constexpr double kLongest = 0.55;     // [m] of a tassel
+  constexpr double kLeastStem = 0.6;    // of stem and tassel together
   constexpr double kShortest = 0.13;
   constexpr std::size_t kBranchedSteps = 16U;  // that side branches come out of the skin in
   constexpr std::size_t kSectors = 8U;
   constexpr std::size_t kLeastSectors = 5U;
+  constexpr std::size_t kFewSectors = 4U;  // where few points show them
+  constexpr double kManyPoints = 60.0;
   constexpr double kSectorShare = 0.02;  // of the points, for a sector to count
+  constexpr double kStray = 1.0;         // points that noise may put there
   constexpr double kLeastContrast = 4.0;
   constexpr double kLeastPoints = 6.0;
   const auto steps = static_cast<std::size_t>(std::ceil(occupied / kStep)) + 1U;
@@ -126,7 +130,9 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
     const double at = static_cast<double>(k) * kStep;
     if (at > occupied - kShortest) continue;
     constexpr double kSamePlace = 0.10;  // [m]
-    if (at < occupied - kLongest || (best > kLeastContrast && at < base - kSamePlace)) break;
+    if (at < std::max(occupied - kLongest, kLeastStem * occupied) ||
+        (best > kLeastContrast && at < base - kSamePlace))
+      break;
     double below = 0.0;
     double above = 0.0;
     std::array<double, kSectors> seen{};
@@ -135,9 +141,12 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
       above += counts[k + j];
       for (std::size_t a = 0; a < kSectors; ++a) seen[a] += sectors[k + j][a];
     }
-    const auto all_round = static_cast<std::size_t>(std::count_if(
-        seen.begin(), seen.end(), [&](double count) { return count > kSectorShare * above; }));
-    if (above < kLeastPoints || all_round < kLeastSectors) continue;
+    const auto all_round =
+        static_cast<std::size_t>(std::count_if(seen.begin(), seen.end(), [&](double count) {
+          return count > std::max(kSectorShare * above, kStray);
+        }));
+    if (above < kLeastPoints) continue;
+    if (all_round < (above < kManyPoints ? kFewSectors : kLeastSectors)) continue;
     // Beyond its branches the tassel is a bare spike; leaves go on.
     double most_beyond = 0.0;
     for (std::size_t j = k + kBranchedSteps; j + kWindow <= steps; ++j) {

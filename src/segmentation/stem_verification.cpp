@@ -121,7 +121,7 @@ float meritOf(const Block& block, const NeighborGrid& grid, const StemCandidate&
   const std::vector<StemAxis::Node>& nodes = stem.midline.axis.nodes();
   const float upright = (nodes.back().position - nodes.front().position).normalized().z();
   constexpr float kShortest = 0.1F;  // of the canopy's height: no stem
-  constexpr float kLow = 0.2F;       // hardly one
+  constexpr float kLow = 0.4F;       // a low one
   const float length = stem.midline.axis.length() / canopy_height;
   const float tall = std::clamp((length - kShortest) / (kLow - kShortest), 0.0F, 1.0F);
   return tall * upright * upright * visible.filled * visible.clear * stem.midline.evidence /
