@@ -137,11 +137,10 @@ struct SegmentationParameters {
             "neighbourhood for the local shape of a point; widened by half in sparse clouds"},
         p.seed_radius, 0.01, 0.5);
     v(ParameterInfo{"seed_min_length", "m",
-                    "shortest upright run of stem evidence that makes a plant; a share of it for "
-                    "low canopies"},
+                    "shortest upright run of stem evidence that makes a candidate for a stem"},
       p.seed_min_length, 0.02, 2.0);
     v(ParameterInfo{"seed_min_score", "",
-                    "least stem evidence that makes a plant, in slabs that show it"},
+                    "least stem evidence that makes a candidate for a stem, in slabs that show it"},
       p.seed_min_score, 0.1, 100.0);
     v(ParameterInfo{"min_plant_spacing", "m", "two stems are at least this far apart at the soil"},
       p.min_plant_spacing, 0.01, 2.0);
