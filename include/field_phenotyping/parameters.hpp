@@ -93,10 +93,14 @@ struct PreprocessingParameters {
 /// Constrained region growth (paper 2.4).
 struct SegmentationParameters {
   double M = 0.5;
+  double M_branching = 0.8;
+  double M_internode = 1.0;
   double r1 = 0.04;
   double alpha = 0.2;
   double beta = 0.8;
   int max_growth_steps = 200;
+  double quality_target = 0.7;
+  int max_growth_cycles = 4;
   double seed_min_height = 0.04;
   double seed_max_height = 1.2;
   double seed_slab = 0.05;
@@ -114,6 +118,10 @@ struct SegmentationParameters {
     v(ParameterInfo{"M", "",
                     "how alike a point must be to the growing stem to join it: more is stricter"},
       p.M, 0.01, 1.0);
+    v(ParameterInfo{"M_branching", "", "share of M at nodes and branchings (3.1.2)"}, p.M_branching,
+      0.1, 2.0);
+    v(ParameterInfo{"M_internode", "", "share of M on smooth internodes (3.1.2)"}, p.M_internode,
+      0.1, 2.0);
     v(ParameterInfo{"r1", "m", "radius of the growth sphere, and longest step (Eq 3)"}, p.r1, 0.005,
       0.5);
     v(ParameterInfo{"alpha", "",
@@ -123,6 +131,13 @@ struct SegmentationParameters {
       1.0);
     v(ParameterInfo{"max_growth_steps", "", "a region stops growing after this many steps"},
       p.max_growth_steps, 1, 10000);
+    v(
+        ParameterInfo{
+            "quality_target", "",
+            "T: a stem that scores less (Q of Eq 9) is grown again with adapted parameters"},
+        p.quality_target, 0.0, 1.0);
+    v(ParameterInfo{"max_growth_cycles", "", "a stem is grown at most this often (Step 4)"},
+      p.max_growth_cycles, 1, 100);
     v(ParameterInfo{"seed_min_height", "m", "seeds are looked for from this height above the soil"},
       p.seed_min_height, 0.0, 2.0);
     v(ParameterInfo{"seed_max_height", "m",

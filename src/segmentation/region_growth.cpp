@@ -32,6 +32,28 @@ Eigen::Vector3f meanDirection(const GrowthScene& scene,
 
 }  // namespace
 
+GrowthSettings::GrowthSettings(const SegmentationParameters& parameters)
+    : r1(static_cast<float>(parameters.r1)),
+      M(static_cast<float>(parameters.M)),
+      alpha(static_cast<float>(parameters.alpha)),
+      beta(static_cast<float>(parameters.beta)),
+      max_steps(parameters.max_growth_steps) {}
+
+std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis& axis,
+                                        float radius) {
+  std::vector<std::uint32_t> found;
+  constexpr float kStep = 0.4F;  // of the radius: spheres so close make a smooth tube
+  const int steps = static_cast<int>(std::ceil(axis.length() / (kStep * radius)));
+  for (int k = 0; k <= steps; ++k) {
+    const float s = axis.length() * static_cast<float>(k) / static_cast<float>(steps);
+    scene.grid.forEachWithin(axis.pointAt(s), radius,
+                             [&](std::uint32_t i, float) { found.push_back(i); });
+  }
+  std::sort(found.begin(), found.end());
+  found.erase(std::unique(found.begin(), found.end()), found.end());
+  return found;
+}
+
 float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midline) {
   const StemAxis::Projection at = midline.axis.project(scene.points[i]);
   const LocalShape& shape = scene.shapes[i];
@@ -54,34 +76,32 @@ float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midli
 
 GrowthRegion growRegion(const GrowthScene& scene, const Eigen::Vector3f& start,
                         const Eigen::Vector3f& end, const Midline& midline,
-                        const SegmentationParameters& parameters) {
+                        const GrowthSettings& settings) {
   GrowthRegion region;
-  const auto r1 = static_cast<float>(parameters.r1);
-  const auto alpha = static_cast<float>(parameters.alpha);
-  const auto beta = static_cast<float>(parameters.beta);
-  const auto M = static_cast<float>(parameters.M);
+  region.start = start;
+  region.end = end;
   const Eigen::Vector3f line = end - start;
   if (!(line.squaredNorm() > 0.0F)) return region;
 
   Eigen::Vector3f s_k = start;
   std::vector<std::uint32_t> candidates;
-  for (int step = 0; step < parameters.max_growth_steps; ++step) {
+  for (int step = 0; step < settings.max_steps; ++step) {
     // Points inside the sphere B(s_k, r1) that are like the stem are candidates and join.
     candidates.clear();
-    scene.grid.forEachWithin(s_k, r1, [&](std::uint32_t i, float) {
-      if (similarity(scene, i, midline) >= M) candidates.push_back(i);
+    scene.grid.forEachWithin(s_k, settings.r1, [&](std::uint32_t i, float) {
+      if (similarity(scene, i, midline) >= settings.M) candidates.push_back(i);
     });
     region.points.insert(region.points.end(), candidates.begin(), candidates.end());
     ++region.steps;
 
     // a. Growth direction (Eq 1, 2).
     const Eigen::Vector3f to_end = end - s_k;
-    const Eigen::Vector3f v_k =
-        alpha * meanDirection(scene, candidates, s_k) + beta * to_end.normalized();
+    const Eigen::Vector3f v_k = settings.alpha * meanDirection(scene, candidates, s_k) +
+                                settings.beta * to_end.normalized();
     // b. New seed (Eq 3); the step stays within [0.5, 1] r1 so that it can neither stall nor skip.
     const float speed = v_k.norm();
     if (!(speed > 0.0F)) break;
-    s_k += r1 * std::clamp(speed, 0.5F, 1.0F) / speed * v_k;
+    s_k += settings.r1 * std::clamp(speed, 0.5F, 1.0F) / speed * v_k;
     // c. Termination (Eq 4, 5).
     const float t_proj = (s_k - start).dot(line) / line.squaredNorm();
     if (t_proj < 0.0F || t_proj > 1.0F) break;

@@ -2,27 +2,23 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <utility>
 
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
 #include "field_phenotyping/segmentation/stem_verification.hpp"
 
 namespace field_phenotyping {
 namespace {
-
-/// One stem on its way through the steps.
-struct Stem {
-  Midline midline;
-  std::vector<std::uint32_t> points;
-  GrowthSummary growth;
-};
 
 /// The axis prior that the start points give, carried down to the soil.
 StemAxis axisFromSeeds(const StemSeeds& seeds, const GroundModel& ground, float radius) {
@@ -39,57 +35,12 @@ StemAxis axisFromSeeds(const StemSeeds& seeds, const GroundModel& ground, float 
   return StemAxis(std::move(nodes));
 }
 
-std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis& axis,
-                                        float radius) {
-  std::vector<std::uint32_t> found;
-  const int steps = static_cast<int>(std::ceil(axis.length() / radius));
-  for (int k = 0; k <= steps; ++k) {
-    const float s = axis.length() * static_cast<float>(k) / static_cast<float>(steps);
-    scene.grid.forEachWithin(axis.pointAt(s), 2.5F * radius,
-                             [&](std::uint32_t i, float) { found.push_back(i); });
-  }
-  std::sort(found.begin(), found.end());
-  found.erase(std::unique(found.begin(), found.end()), found.end());
-  return found;
-}
-
-/// Step 2 for one stem: a region from each start point to the next, grown independently.
-std::vector<std::uint32_t> growAlong(const GrowthScene& scene, const Midline& midline,
-                                     const SegmentationParameters& parameters) {
-  std::vector<std::uint32_t> joined;
-  const std::vector<StemAxis::Node>& nodes = midline.axis.nodes();
-  for (std::size_t k = 0; k + 1 < nodes.size(); ++k) {
-    const GrowthRegion region =
-        growRegion(scene, nodes[k].position, nodes[k + 1].position, midline, parameters);
-    joined.insert(joined.end(), region.points.begin(), region.points.end());
-  }
-  std::sort(joined.begin(), joined.end());
-  joined.erase(std::unique(joined.begin(), joined.end()), joined.end());
-  return joined;
-}
-
-/// Structural integrity (Eq 8), with distances from the region's own axis.
-float structuralQuality(const GrowthScene& scene, const std::vector<std::uint32_t>& before,
-                        const std::vector<std::uint32_t>& after, const StemAxis& axis) {
-  if (before.empty() || after.empty()) return 0.0F;
-  float sum = 0.0F;
-  float most = 0.0F;
-  for (const std::uint32_t i : after) {
-    const StemAxis::Projection at = axis.project(scene.points[i]);
-    const float away = std::abs(at.distance - at.radius);
-    sum += away;
-    most = std::max(most, away);
-  }
-  const float kept = static_cast<float>(after.size()) / static_cast<float>(before.size());
-  const float compact = most > 0.0F ? 1.0F - sum / static_cast<float>(after.size()) / most : 1.0F;
-  return 0.5F * kept + 0.5F * compact;
-}
-
 /// Step 1: the start points give the axis prior, the points round it the midline and where it ends.
 Midline findMidline(const GrowthScene& scene, const StemSeeds& seeds, const GroundModel& ground,
                     float max_radius) {
   const StemAxis prior = axisFromSeeds(seeds, ground, 0.5F * max_radius);
-  const std::vector<std::uint32_t> around = pointsAround(scene, prior, max_radius);
+  constexpr float kAround = 2.5F;  // max_radius
+  const std::vector<std::uint32_t> around = pointsAround(scene, prior, kAround * max_radius);
   Midline midline = fitMidline(scene.points, around, prior, max_radius);
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
   // Without the leaves above, the axis points straight up through them, and shows its end better.
@@ -100,38 +51,27 @@ Midline findMidline(const GrowthScene& scene, const StemSeeds& seeds, const Grou
   return midline;
 }
 
-/// Steps 2 and 3: growth along the midline; what was over-segmented goes (2.4.2).
-Stem growStem(const GrowthScene& scene, Midline midline, const SegmentationParameters& parameters) {
-  Stem stem;
-  stem.midline = std::move(midline);
-  const std::vector<std::uint32_t> grown = growAlong(scene, stem.midline, parameters);
-  stem.points = pruneByMidline(scene.points, grown, stem.midline.axis,
-                               static_cast<float>(parameters.prune_factor));
-  stem.growth.quality = structuralQuality(scene, grown, stem.points, stem.midline.axis);
-  stem.growth.iterations = 1U;
-  stem.growth.r1 = static_cast<float>(parameters.r1);
-  stem.growth.M = static_cast<float>(parameters.M);
-  stem.growth.alpha = static_cast<float>(parameters.alpha);
-  stem.growth.beta = static_cast<float>(parameters.beta);
-  return stem;
+/// What grows from every candidate; candidates that nothing grows from are left out.
+std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
+                                      const GroundModel& ground,
+                                      const SegmentationParameters& parameters) {
+  std::vector<GrownStem> grown(seeds.size());
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  parallelFor(seeds.size(), [&](std::size_t k) {
+    grown[k] = growCandidate(scene, findMidline(scene, seeds[k], ground, max_radius), parameters);
+  });
+  grown.erase(std::remove_if(grown.begin(), grown.end(),
+                             [](const GrownStem& stem) { return stem.points.empty(); }),
+              grown.end());
+  return grown;
 }
 
-void growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
-                    const GroundModel& ground, const SegmentationParameters& parameters,
-                    std::vector<Stem>& stems) {
-  for (const StemSeeds& one : seeds) {
-    Stem stem = growStem(
-        scene, findMidline(scene, one, ground, static_cast<float>(parameters.max_stem_radius)),
-        parameters);
-    if (!stem.points.empty()) stems.push_back(std::move(stem));
-  }
-}
-
-std::vector<Stem> onlyStems(const Block& block, const NeighborGrid& grid, std::vector<Stem> grown,
-                            const SegmentationParameters& parameters) {
+std::vector<GrownStem> onlyStems(const Block& block, const NeighborGrid& grid,
+                                 std::vector<GrownStem> grown,
+                                 const SegmentationParameters& parameters) {
   std::vector<StemCandidate> candidates;
-  for (const Stem& stem : grown) candidates.push_back({stem.midline, stem.points});
-  std::vector<Stem> stems;
+  for (const GrownStem& stem : grown) candidates.push_back({stem.midline, stem.points});
+  std::vector<GrownStem> stems;
   for (const std::size_t k : selectStems(block, grid, candidates, parameters)) {
     stems.push_back(std::move(grown[k]));
   }
@@ -140,11 +80,11 @@ std::vector<Stem> onlyStems(const Block& block, const NeighborGrid& grid, std::v
 
 /// Points so near to a stem that no other one can begin there.
 std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
-                                          const std::vector<Stem>& stems) {
+                                          const std::vector<GrownStem>& stems) {
   std::vector<std::uint8_t> explained(scene.points.size(), 0U);
   constexpr float kStep = 0.02F;  // [m]
   constexpr float kReach = 3.0F;  // standard deviations beyond the surface
-  for (const Stem& stem : stems) {
+  for (const GrownStem& stem : stems) {
     const StemAxis& axis = stem.midline.axis;
     for (float s = 0.0F; s <= axis.length(); s += kStep) {
       const float reach = axis.radiusAt(s) + kReach * stem.midline.spread;
@@ -156,7 +96,8 @@ std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
 }
 
 /// A point that two stems claim goes to the one whose surface it is nearer to.
-std::vector<std::int32_t> resolveOwners(const GrowthScene& scene, const std::vector<Stem>& stems) {
+std::vector<std::int32_t> resolveOwners(const GrowthScene& scene,
+                                        const std::vector<GrownStem>& stems) {
   std::vector<std::int32_t> owner(scene.points.size(), -1);
   const auto away = [&](std::size_t stem, std::uint32_t i) {
     const StemAxis::Projection at = stems[stem].midline.axis.project(scene.points[i]);
@@ -173,7 +114,7 @@ std::vector<std::int32_t> resolveOwners(const GrowthScene& scene, const std::vec
 }
 
 /// Reorders the block's points plant by plant, stems first.
-SegmentedBlock assemble(const Block& block, const std::vector<Stem>& stems,
+SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
                         const std::vector<std::int32_t>& stem_owner,
                         const std::vector<std::int32_t>& plant_owner) {
   SegmentedBlock out;
@@ -255,28 +196,36 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);
   const GrowthScene scene{points, shapes, grid};
 
-  // Steps 1-3: start points, growth and pruning. What has grown shows which of them are stems.
-  std::vector<Stem> stems;
-  growCandidates(scene, findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright),
-                 block.ground, parameters, stems);
+  // Step 1: start points. What grows from them shows which are stems'.
+  std::vector<GrownStem> stems =
+      growCandidates(scene, findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright),
+                     block.ground, parameters);
   stems = onlyStems(block, grid, std::move(stems), parameters);
-  // Step 4: again, with other evidence, where nothing was found.
+  // Again, with other evidence, where nothing was found.
   const std::size_t most = 8U + stems.size();  // few are missing where many were found
-  growCandidates(scene,
-                 findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kDensity,
-                               explainedPoints(scene, stems), most),
-                 block.ground, parameters, stems);
+  std::vector<GrownStem> more =
+      growCandidates(scene,
+                     findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kDensity,
+                                   explainedPoints(scene, stems), most),
+                     block.ground, parameters);
+  std::move(more.begin(), more.end(), std::back_inserter(stems));
   stems = onlyStems(block, grid, std::move(stems), parameters);
-  std::sort(stems.begin(), stems.end(), [](const Stem& a, const Stem& b) {
+  std::sort(stems.begin(), stems.end(), [](const GrownStem& a, const GrownStem& b) {
     const Eigen::Vector3f low_a = a.midline.axis.nodes().front().position;
     const Eigen::Vector3f low_b = b.midline.axis.nodes().front().position;
     return low_a.x() != low_b.x() ? low_a.x() < low_b.x() : low_a.y() < low_b.y();
   });
 
+  // Steps 2-4: the growth of each stem, with parameters of its own.
+  constexpr float kMaxGap = 0.40F;  // [m]
+  parallelFor(stems.size(), [&](std::size_t s) {
+    stems[s] = growStem(scene, stems[s].midline, kMaxGap, parameters);
+  });
+
   // Every other organ to its plant.
   const std::vector<std::int32_t> stem_owner = resolveOwners(scene, stems);
   std::vector<StemAxis> axes;
-  for (const Stem& stem : stems) axes.push_back(stem.midline.axis);
+  for (const GrownStem& stem : stems) axes.push_back(stem.midline.axis);
   const std::vector<std::int32_t> plant_owner = assignOrgans(block, axes, stem_owner, parameters);
   return assemble(block, stems, stem_owner, plant_owner);
 }

@@ -14,6 +14,7 @@ StemAxis::StemAxis(std::vector<Node> nodes) : nodes_(std::move(nodes)) {
     const float step = (nodes_[i].position - nodes_[i - 1].position).norm();
     if (!(step > 0.0F)) throw std::invalid_argument("StemAxis: two nodes in one place");
     arc_lengths_[i] = arc_lengths_[i - 1] + step;
+    rising_ = rising_ && nodes_[i].position.z() > nodes_[i - 1].position.z();
   }
 }
 
@@ -71,7 +72,7 @@ StemAxis::Projection StemAxis::project(const Eigen::Vector3f& point) const {
   Projection best;
   best.distance = std::numeric_limits<float>::max();
   const std::size_t last = nodes_.size() - 2;
-  for (std::size_t i = 0; i <= last; ++i) {
+  const auto look = [&](std::size_t i) {
     const Eigen::Vector3f& low = nodes_[i].position;
     const float length = arc_lengths_[i + 1] - arc_lengths_[i];
     const Eigen::Vector3f direction = (nodes_[i + 1].position - low) / length;
@@ -86,6 +87,24 @@ StemAxis::Projection StemAxis::project(const Eigen::Vector3f& point) const {
       best.foot = foot;
       best.direction = direction;
     }
+  };
+  if (rising_) {
+    // Outwards from the point's own height, until no segment can be nearer.
+    const auto above =
+        std::upper_bound(nodes_.begin() + 1, nodes_.end() - 1, point.z(),
+                         [](float z, const Node& node) { return z < node.position.z(); });
+    const auto middle = static_cast<std::size_t>(above - nodes_.begin()) - 1U;
+    look(middle);
+    for (std::size_t i = middle + 1U;
+         i <= last && nodes_[i].position.z() - point.z() <= best.distance; ++i) {
+      look(i);
+    }
+    for (std::size_t i = middle; i > 0U && point.z() - nodes_[i].position.z() <= best.distance;
+         --i) {
+      look(i - 1U);
+    }
+  } else {
+    for (std::size_t i = 0; i <= last; ++i) look(i);
   }
   best.radius = radiusAt(best.arc_length);
   return best;

@@ -18,10 +18,11 @@ struct Midline {
 /// Fits the curved midline of a stem and its radius profile (2.4.2, Step 1; Eq 15 made a curve that
 /// bends little).
 ///
-/// Expectation maximisation of a thin skin of stem points among leaf points: it begins at the stretch
-/// of the prior that agrees best with what lies straight above and below it, grows from there up and
-/// down, and trusts bands where leaves crowd little. The end of the stem is not looked for here: see
-/// findStemTop(). A half-seen stem is centred by its curvature and by a prior on radius and taper.
+/// Expectation maximisation of a thin skin of stem points among leaf points: it begins at the
+/// stretch of the prior that agrees best with what lies straight above and below it, grows from
+/// there up and down, and trusts bands where leaves crowd little. The end of the stem is not looked
+/// for here: see findStemTop(). A half-seen stem is centred by its curvature and by a prior on
+/// radius and taper.
 ///
 /// @param points     candidates, local frame [m]
 /// @param members    indices of the points round the stem (leaf points among them are survived)

@@ -17,11 +17,29 @@ struct GrowthScene {
   const NeighborGrid& grid;                    ///< over the points
 };
 
+/// The parameters that the paper adapts while a stem grows (Eq 11-14).
+struct GrowthSettings {
+  float r1 = 0.0F;     ///< growth radius [m]
+  float M = 0.0F;      ///< similarity threshold
+  float alpha = 0.0F;  ///< weights of Eq 2
+  float beta = 0.0F;
+  int max_steps = 0;
+
+  GrowthSettings() = default;
+  explicit GrowthSettings(const SegmentationParameters& parameters);
+};
+
 /// What the growth of one region gave.
 struct GrowthRegion {
-  std::vector<std::uint32_t> points;  ///< that joined, ascending
+  Eigen::Vector3f start = Eigen::Vector3f::Zero();  ///< its start point s_0 [m]
+  Eigen::Vector3f end = Eigen::Vector3f::Zero();    ///< its end point s_n [m]
+  std::vector<std::uint32_t> points;                ///< that joined, ascending
   std::uint32_t steps = 0U;
 };
+
+/// Points within about `radius` [m] of an axis, its ends included; ascending.
+std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis& axis,
+                                        float radius);
 
 /// How alike point `i` is to the stem that `midline` describes, in [0, 1]: distance to the stem's
 /// surface, normal across the axis, upright shape. Compared with M.
@@ -29,9 +47,9 @@ float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midli
 
 /// Grows one constrained region from `start` towards `end` (paper 2.4.1, Step 2, Eq 1-5): a sphere
 /// of radius r1 walks up the stem; points inside that are similar to it by M or more join. Stops
-/// past `end` or after max_growth_steps. Thread-safe.
+/// past `end` or after max_steps. Thread-safe.
 GrowthRegion growRegion(const GrowthScene& scene, const Eigen::Vector3f& start,
                         const Eigen::Vector3f& end, const Midline& midline,
-                        const SegmentationParameters& parameters);
+                        const GrowthSettings& settings);
 
 }  // namespace field_phenotyping

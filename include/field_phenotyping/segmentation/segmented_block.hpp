@@ -9,14 +9,25 @@
 
 namespace field_phenotyping {
 
+/// One region of a stem's growth: what was decided about it, for whoever wants to see.
+struct RegionSummary {
+  Eigen::Vector3f start = Eigen::Vector3f::Zero();  ///< s_0, local frame [m]
+  Eigen::Vector3f end = Eigen::Vector3f::Zero();    ///< s_n [m]
+  float M = 0.0F;                                   ///< similarity threshold of the segment
+  bool branching = false;                           ///< at a node or where an organ leaves the stem
+  bool merged = false;                              ///< joined the stem
+  std::uint32_t points = 0U;                        ///< grown, before pruning
+};
+
 /// How well a stem was segmented, and with which parameters (paper Eq 7-14).
 struct GrowthSummary {
   float quality = 0.0F;  ///< Q of Eq 9, in [0, 1]
   std::uint32_t iterations = 0U;
   float r1 = 0.0F;  ///< growth radius [m]
-  float M = 0.0F;   ///< similarity threshold
+  float M = 0.0F;   ///< similarity threshold; segments have a share of it
   float alpha = 0.0F;
   float beta = 0.0F;
+  std::vector<RegionSummary> regions;  ///< from the base up
 };
 
 /// One plant of a block.

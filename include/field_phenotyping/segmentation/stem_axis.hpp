@@ -51,6 +51,7 @@ class StemAxis {
 
   std::vector<Node> nodes_;
   std::vector<float> arc_lengths_;
+  bool rising_ = true;  ///< every node is higher than the one before
 };
 
 }  // namespace field_phenotyping

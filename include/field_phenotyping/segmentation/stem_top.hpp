@@ -7,7 +7,8 @@
 
 namespace field_phenotyping {
 
-/// Finds where a stem ends: the arc length [m] on a midline that may run on through leaves or tassel.
+/// Finds where a stem ends: the arc length [m] on a midline that may run on through leaves or
+/// tassel.
 ///
 /// Two things end it. The core of the axis empties where the whorl opens, for leaves lean away from
 /// it: the cut parts bands that have a stem's number of points from bands that have few. Or the

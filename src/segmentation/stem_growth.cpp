@@ -1,0 +1,157 @@
+#include "field_phenotyping/segmentation/stem_growth.hpp"
+
+#include <algorithm>
+#include <utility>
+
+#include "field_phenotyping/segmentation/growth_adaptation.hpp"
+#include "field_phenotyping/segmentation/region_merging.hpp"
+#include "field_phenotyping/segmentation/region_quality.hpp"
+#include "field_phenotyping/segmentation/stem_segments.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+/// M of a segment: a share of the stem's.
+float segmentM(const StemSegment& segment, float M, const SegmentationParameters& parameters) {
+  constexpr float kMostM = 0.95F;
+  const double share = segment.branching ? parameters.M_branching : parameters.M_internode;
+  return std::min(static_cast<float>(share) * M, kMostM);
+}
+
+/// Step 2: a region from each start point to its end point, grown independently.
+std::vector<GrowthRegion> growRegions(const GrowthScene& scene, const Midline& midline,
+                                      const std::vector<StemSegment>& segments,
+                                      const GrowthSettings& settings,
+                                      const SegmentationParameters& parameters) {
+  std::vector<GrowthRegion> regions;
+  for (const StemSegment& segment : segments) {
+    GrowthSettings own = settings;
+    own.M = segmentM(segment, settings.M, parameters);
+    regions.push_back(growRegion(scene, midline.axis.pointAt(segment.begin),
+                                 midline.axis.pointAt(segment.end), midline, own));
+  }
+  return regions;
+}
+
+/// All points of the regions for which `wanted` is not 0; all regions where it is empty.
+std::vector<std::uint32_t> pointsOf(const std::vector<GrowthRegion>& regions,
+                                    const std::vector<std::uint8_t>& wanted = {}) {
+  std::vector<std::uint32_t> points;
+  for (std::size_t r = 0; r < regions.size(); ++r) {
+    if (!wanted.empty() && wanted[r] == 0U) continue;
+    points.insert(points.end(), regions[r].points.begin(), regions[r].points.end());
+  }
+  std::sort(points.begin(), points.end());
+  points.erase(std::unique(points.begin(), points.end()), points.end());
+  return points;
+}
+
+/// One growth of a stem.
+struct Growth {
+  std::vector<GrowthRegion> regions;
+  std::vector<std::uint8_t> merged;  ///< of each region
+  std::vector<std::uint32_t> points;
+  float quality = 0.0F;
+};
+
+/// Steps 2 and 3: growth, merging, and the removal of what was over-segmented.
+/// @param threshold of merging [m]; chosen from the regions' distances where it is not positive
+Growth growOnce(const GrowthScene& scene, const Midline& midline,
+                const std::vector<StemSegment>& segments, const GrowthSettings& settings,
+                float max_gap, float& threshold, const SegmentationParameters& parameters) {
+  Growth growth;
+  growth.regions = growRegions(scene, midline, segments, settings, parameters);
+  constexpr float kLeastGap = 0.5F;  // of max_gap: leaves hide as much of a sound stem
+  if (!(threshold > 0.0F)) {
+    threshold = initialMergingThreshold(neighborDistances(scene.points, growth.regions),
+                                        kLeastGap * max_gap, max_gap);
+  }
+  growth.merged = mergeRegions(scene.points, growth.regions, threshold);
+  growth.points = pruneByMidline(scene.points, pointsOf(growth.regions, growth.merged),
+                                 midline.axis, static_cast<float>(parameters.prune_factor));
+  growth.quality =
+      evaluateRegion(scene, pointsOf(growth.regions).size(), growth.points, midline).overall;
+  return growth;
+}
+
+GrowthSummary summarise(const GrowthSettings& settings, float quality, std::uint32_t iterations) {
+  GrowthSummary summary;
+  summary.quality = quality;
+  summary.iterations = iterations;
+  summary.r1 = settings.r1;
+  summary.M = settings.M;
+  summary.alpha = settings.alpha;
+  summary.beta = settings.beta;
+  return summary;
+}
+
+}  // namespace
+
+GrownStem growCandidate(const GrowthScene& scene, Midline midline,
+                        const SegmentationParameters& parameters) {
+  const GrowthSettings settings(parameters);
+  std::vector<GrowthRegion> regions;
+  const std::vector<StemAxis::Node>& nodes = midline.axis.nodes();
+  for (std::size_t k = 0; k + 1U < nodes.size(); ++k) {
+    regions.push_back(
+        growRegion(scene, nodes[k].position, nodes[k + 1U].position, midline, settings));
+  }
+  GrownStem stem;
+  stem.points = pruneByMidline(scene.points, pointsOf(regions), midline.axis,
+                               static_cast<float>(parameters.prune_factor));
+  stem.midline = std::move(midline);
+  return stem;
+}
+
+GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_gap,
+                   const SegmentationParameters& parameters) {
+  const GrowthSettings first(parameters);
+  const auto target = static_cast<float>(parameters.quality_target);
+  const std::vector<StemSegment> segments =
+      splitStem(midline.axis.length(),
+                findBranchings(scene.points, pointsAround(scene, midline.axis, first.r1), midline));
+
+  Growth best;
+  GrowthSettings best_settings = first;
+  GrowthSettings settings = first;
+  float threshold = 0.0F;
+  std::uint32_t cycles = 0U;
+  while (cycles < static_cast<std::uint32_t>(parameters.max_growth_cycles)) {
+    Growth growth = growOnce(scene, midline, segments, settings, max_gap, threshold, parameters);
+    ++cycles;
+    const float quality = growth.quality;
+    if (cycles == 1U || quality > best.quality) {
+      best = std::move(growth);
+      best_settings = settings;
+    }
+    if (quality >= target) break;
+
+    // Step 3d: adapt, and grow again (Step 4).
+    constexpr float kDifference = 0.1F;
+    const auto slope = [&](float GrowthSettings::*weight) {
+      GrowthSettings changed = settings;
+      changed.*weight += kDifference;
+      return (growOnce(scene, midline, segments, changed, max_gap, threshold, parameters).quality -
+              quality) /
+             kDifference;
+    };
+    const QualityGradient gradient{slope(&GrowthSettings::alpha), slope(&GrowthSettings::beta)};
+    settings = adaptSettings(settings, first, quality, target, gradient);
+    threshold = adaptMergingThreshold(threshold, quality, target);
+  }
+
+  GrownStem stem;
+  stem.midline = midline;
+  stem.growth = summarise(best_settings, best.quality, cycles);
+  for (std::size_t r = 0; r < segments.size(); ++r) {
+    const GrowthRegion& region = best.regions[r];
+    stem.growth.regions.push_back({region.start, region.end,
+                                   segmentM(segments[r], best_settings.M, parameters),
+                                   segments[r].branching, best.merged[r] != 0U,
+                                   static_cast<std::uint32_t>(region.points.size())});
+  }
+  stem.points = std::move(best.points);
+  return stem;
+}
+
+}  // namespace field_phenotyping
