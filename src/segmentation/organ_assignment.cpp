@@ -92,15 +92,31 @@ struct Pieces {
 /// Joins touching cells that lie on one smooth ribbon. Where organs cross or touch, the cloud is
 /// neither thin nor straight, and no piece reaches into it.
 std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const NeighborGrid& grid) {
-  constexpr float kMostCurvature = 0.04F;
+  constexpr float kMostCurvature = 0.04F;  // of a leaf among others, without noise
+  constexpr float kSmoothShare = 0.55F;    // of the cells are on a leaf alone, whatever the noise
   constexpr float kLeastLinearity = 0.3F;
   constexpr std::uint32_t kLeastNeighbors = 6U;
   constexpr float kAlike = 0.94F;    // cosine of the largest bend from cell to cell
   constexpr float kOffset = 0.007F;  // [m] out of the ribbon
+  // Noise thickens all leaves alike.
+  std::vector<float> curvatures;
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (cells.is_stem[n] == 0U && cells.shapes[n].neighbors >= kLeastNeighbors) {
+      curvatures.push_back(cells.shapes[n].curvature);
+    }
+  }
+  float most_curvature = kMostCurvature;
+  if (!curvatures.empty()) {
+    const auto limit =
+        curvatures.begin() +
+        static_cast<std::ptrdiff_t>(kSmoothShare * static_cast<float>(curvatures.size()));
+    std::nth_element(curvatures.begin(), limit, curvatures.end());
+    most_curvature = std::max(most_curvature, *limit);
+  }
   std::vector<std::uint8_t> smooth(cells.size());
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     const LocalShape& shape = cells.shapes[n];
-    smooth[n] = cells.is_stem[n] == 0U && shape.curvature < kMostCurvature &&
+    smooth[n] = cells.is_stem[n] == 0U && shape.curvature < most_curvature &&
                 shape.linearity > kLeastLinearity && shape.neighbors >= kLeastNeighbors;
   }
   std::vector<std::uint32_t> parent(cells.size());
