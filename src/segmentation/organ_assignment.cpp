@@ -1,6 +1,9 @@
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 
+#include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -12,24 +15,24 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kCell = 0.012F;        // [m] points this close are one node of the graph
-constexpr float kNearReach = 0.04F;    // [m] steps within one organ
-constexpr float kTurnCost = 0.02F;     // [m^2] of a turn by a right angle
+constexpr float kCell = 0.012F;        // [m] points this close are one cell
 constexpr float kShapeRadius = 0.06F;  // [m] neighbourhood that shows which way an organ runs
-constexpr float kAcrossCost = 60.0F;   // how much dearer a step across an organ is than along it
-constexpr float kLeastMisfit = 0.1F;  // what a step costs through an organ that fits its plant well
-constexpr float kWeedHeight = 0.25F;  // [m] below it an organ must touch its plant
+constexpr float kTouch = 0.03F;        // [m] cells this close touch
+constexpr float kNearReach = 0.04F;    // [m] steps within one organ
+constexpr float kWeedHeight = 0.25F;   // [m] below it an organ must touch its plant
 
-/// Points gathered into cells: far fewer nodes than points, and the same paths.
-struct CellGraph {
-  std::vector<std::uint32_t> node_of_point;
+/// Points gathered into cells: far fewer than points, and of even density.
+struct Cells {
+  std::vector<std::uint32_t> of_point;
   std::vector<Eigen::Vector3f> centers;
   std::vector<std::int32_t> owner;
   std::vector<std::uint8_t> is_stem;
   std::vector<LocalShape> shapes;
+
+  std::uint32_t size() const { return static_cast<std::uint32_t>(centers.size()); }
 };
 
-CellGraph buildCells(const Block& block, const std::vector<std::int32_t>& owner) {
+Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   Eigen::Array3f low = points.front().array();
   for (const Eigen::Vector3f& p : points) low = low.min(p.array());
@@ -45,48 +48,515 @@ CellGraph buildCells(const Block& block, const std::vector<std::int32_t>& owner)
     return keys[a] != keys[b] ? keys[a] < keys[b] : a < b;
   });
 
-  CellGraph graph;
-  graph.node_of_point.resize(points.size());
+  Cells cells;
+  cells.of_point.resize(points.size());
   std::vector<float> counts;
   for (std::size_t k = 0; k < order.size(); ++k) {
     const std::uint32_t i = order[k];
     if (k == 0 || keys[i] != keys[order[k - 1]]) {
-      graph.centers.emplace_back(Eigen::Vector3f::Zero());
-      graph.owner.push_back(-1);
+      cells.centers.emplace_back(Eigen::Vector3f::Zero());
+      cells.owner.push_back(-1);
       counts.push_back(0.0F);
     }
-    graph.node_of_point[i] = static_cast<std::uint32_t>(graph.centers.size() - 1U);
-    graph.centers.back() += points[i];
+    cells.of_point[i] = cells.size() - 1U;
+    cells.centers.back() += points[i];
     counts.back() += 1.0F;
-    if (graph.owner.back() < 0) graph.owner.back() = owner[i];
+    if (cells.owner.back() < 0) cells.owner.back() = owner[i];
   }
-  for (std::size_t n = 0; n < graph.centers.size(); ++n) graph.centers[n] /= counts[n];
-  for (const std::int32_t plant : graph.owner) graph.is_stem.push_back(plant >= 0 ? 1U : 0U);
+  for (std::size_t n = 0; n < cells.size(); ++n) cells.centers[n] /= counts[n];
+  for (const std::int32_t plant : cells.owner) cells.is_stem.push_back(plant >= 0 ? 1U : 0U);
   // Stems would pull the shape of what passes them towards their own.
   std::vector<Eigen::Vector3f> organs;
-  for (std::size_t n = 0; n < graph.centers.size(); ++n) {
-    if (graph.is_stem[n] == 0U) organs.push_back(graph.centers[n]);
+  for (std::size_t n = 0; n < cells.size(); ++n) {
+    if (cells.is_stem[n] == 0U) organs.push_back(cells.centers[n]);
   }
   const NeighborGrid grid(organs, 0.5F * kShapeRadius);
   const std::vector<LocalShape> shapes = computeLocalShapes(organs, grid, kShapeRadius);
   LocalShape upright;
   upright.linearity = 1.0F;
-  graph.shapes.assign(graph.centers.size(), upright);
-  for (std::size_t n = 0, organ = 0; n < graph.centers.size(); ++n) {
-    if (graph.is_stem[n] == 0U) graph.shapes[n] = shapes[organ++];
+  cells.shapes.assign(cells.size(), upright);
+  for (std::size_t n = 0, organ = 0; n < cells.size(); ++n) {
+    if (cells.is_stem[n] == 0U) cells.shapes[n] = shapes[organ++];
   }
-  return graph;
+  return cells;
 }
 
+// ---------------------------------------------------------------------------- pieces of leaves
+
+/// Cells that run on smoothly: part of one leaf, rarely of two.
+struct Pieces {
+  std::vector<std::int32_t> of_cell;              // -1: in no piece
+  std::vector<std::vector<std::uint32_t>> cells;  // of each piece
+};
+
+/// Joins touching cells that lie on one smooth ribbon. Where organs cross or touch, the cloud is
+/// neither thin nor straight, and no piece reaches into it.
+std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const NeighborGrid& grid) {
+  constexpr float kMostCurvature = 0.04F;  // of a leaf among others, without noise
+  constexpr float kSmoothShare = 0.55F;    // of the cells are on a leaf alone, whatever the noise
+  constexpr float kLeastLinearity = 0.3F;
+  constexpr std::uint32_t kLeastNeighbors = 6U;
+  constexpr float kAlike = 0.94F;    // cosine of the largest bend from cell to cell
+  constexpr float kOffset = 0.007F;  // [m] out of the ribbon
+  // Noise thickens all leaves alike.
+  std::vector<float> curvatures;
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (cells.is_stem[n] == 0U && cells.shapes[n].neighbors >= kLeastNeighbors) {
+      curvatures.push_back(cells.shapes[n].curvature);
+    }
+  }
+  float most_curvature = kMostCurvature;
+  if (!curvatures.empty()) {
+    const auto limit =
+        curvatures.begin() +
+        static_cast<std::ptrdiff_t>(kSmoothShare * static_cast<float>(curvatures.size()));
+    std::nth_element(curvatures.begin(), limit, curvatures.end());
+    most_curvature = std::max(most_curvature, *limit);
+  }
+  std::vector<std::uint8_t> smooth(cells.size());
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    const LocalShape& shape = cells.shapes[n];
+    smooth[n] = cells.is_stem[n] == 0U && shape.curvature < most_curvature &&
+                shape.linearity > kLeastLinearity && shape.neighbors >= kLeastNeighbors;
+  }
+  std::vector<std::uint32_t> parent(cells.size());
+  std::iota(parent.begin(), parent.end(), 0U);
+  const auto root = [&](std::uint32_t n) {
+    while (parent[n] != n) n = parent[n] = parent[parent[n]];
+    return n;
+  };
+  for (std::uint32_t a = 0; a < cells.size(); ++a) {
+    if (smooth[a] == 0U) continue;
+    const LocalShape& shape = cells.shapes[a];
+    grid.forEachWithin(cells.centers[a], kTouch, [&](std::uint32_t b, float) {
+      if (b <= a || smooth[b] == 0U) return;
+      const LocalShape& other = cells.shapes[b];
+      if (std::abs(shape.direction.dot(other.direction)) < kAlike) return;
+      const Eigen::Vector3f step = cells.centers[b] - cells.centers[a];
+      if (std::abs(step.dot(shape.normal)) > kOffset) return;
+      if (std::abs(step.dot(other.normal)) > kOffset) return;
+      const std::uint32_t one = root(a);
+      const std::uint32_t two = root(b);
+      parent[std::max(one, two)] = std::min(one, two);
+    });
+  }
+  constexpr std::uint32_t kLeastCells = 4U;
+  std::vector<std::uint32_t> count(cells.size(), 0U);
+  for (std::uint32_t n = 0; n < cells.size(); ++n) ++count[root(n)];
+  std::vector<std::int32_t> piece(cells.size(), -1);
+  std::vector<std::int32_t> number(cells.size(), -1);
+  std::int32_t next = 0;
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (smooth[n] == 0U || count[root(n)] < kLeastCells) continue;
+    std::int32_t& of_root = number[root(n)];
+    if (of_root < 0) of_root = next++;
+    piece[n] = of_root;
+  }
+  return piece;
+}
+
+/// The ribbon that the cells of one piece form round a place.
+struct Ribbon {
+  bool known = false;
+  Eigen::Vector3f mean = Eigen::Vector3f::Zero();
+  Eigen::Vector3f direction = Eigen::Vector3f::UnitZ();
+  Eigen::Vector3f normal = Eigen::Vector3f::UnitX();
+  float linearity = 0.0F;
+  float spread = 0.0F;  // [m] standard deviation of its width
+};
+
+Ribbon fitRibbon(const Cells& cells, const NeighborGrid& grid,
+                 const std::vector<std::int32_t>& piece_of, const Eigen::Vector3f& place,
+                 std::int32_t piece) {
+  Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+  Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
+  float count = 0.0F;
+  grid.forEachWithin(place, kShapeRadius, [&](std::uint32_t n, float) {
+    if (piece_of[n] != piece) return;
+    const Eigen::Vector3f offset = cells.centers[n] - place;
+    sum += offset;
+    squares.noalias() += offset * offset.transpose();
+    count += 1.0F;
+  });
+  Ribbon ribbon;
+  constexpr float kLeastCells = 4.0F;
+  if (count < kLeastCells) return ribbon;
+  sum /= count;
+  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3f> solver;
+  solver.computeDirect(squares / count - sum * sum.transpose());
+  const Eigen::Vector3f values = solver.eigenvalues().cwiseMax(0.0F);
+  if (!(values[2] > 0.0F)) return ribbon;
+  ribbon.known = true;
+  ribbon.mean = place + sum;
+  ribbon.direction = solver.eigenvectors().col(2);
+  if (ribbon.direction.z() < 0.0F) ribbon.direction = -ribbon.direction;
+  ribbon.normal = solver.eigenvectors().col(0);
+  ribbon.linearity = (values[2] - values[1]) / values[2];
+  ribbon.spread = std::sqrt(values[1]);
+  return ribbon;
+}
+
+/// Carries each piece on into what touches it, as its own cells alone foretell: thus it passes
+/// through crossings.
+void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::int32_t>& piece_of) {
+  constexpr float kOffset = 0.008F;   // [m] out of the ribbon
+  constexpr float kHalfWidth = 1.7F;  // of an even ribbon, in standard deviations
+  constexpr float kMargin = 0.01F;    // [m] beyond it
+  constexpr int kMostRounds = 8;      // of one touch each
+  std::vector<std::uint32_t> front;   // cells without a piece that touch one newly grown
+  std::vector<std::uint8_t> listed(cells.size(), 0U);
+  const auto listAround = [&](std::uint32_t n, std::vector<std::uint32_t>& list) {
+    grid.forEachWithin(cells.centers[n], kTouch, [&](std::uint32_t next, float) {
+      if (piece_of[next] >= 0 || cells.is_stem[next] != 0U || listed[next] != 0U) return;
+      listed[next] = 1U;
+      list.push_back(next);
+    });
+  };
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (piece_of[n] >= 0) listAround(n, front);
+  }
+  std::vector<std::int32_t> touching;
+  for (int round = 0; round < kMostRounds && !front.empty(); ++round) {
+    std::vector<std::pair<std::uint32_t, std::int32_t>> grown;
+    for (const std::uint32_t n : front) {
+      listed[n] = 0U;
+      touching.clear();
+      grid.forEachWithin(cells.centers[n], kTouch, [&](std::uint32_t next, float) {
+        const std::int32_t piece = piece_of[next];
+        if (piece >= 0 && std::find(touching.begin(), touching.end(), piece) == touching.end()) {
+          touching.push_back(piece);
+        }
+      });
+      float least = kOffset;
+      std::int32_t best = -1;
+      for (const std::int32_t piece : touching) {
+        const Ribbon ribbon = fitRibbon(cells, grid, piece_of, cells.centers[n], piece);
+        if (!ribbon.known) continue;
+        const Eigen::Vector3f offset = cells.centers[n] - ribbon.mean;
+        const float out = std::abs(offset.dot(ribbon.normal));
+        const float aside = std::abs(offset.dot(ribbon.normal.cross(ribbon.direction)));
+        if (out >= least || aside > kHalfWidth * ribbon.spread + kMargin) continue;
+        least = out;
+        best = piece;
+      }
+      if (best >= 0) grown.emplace_back(n, best);
+    }
+    front.clear();
+    for (const auto& [n, piece] : grown) piece_of[n] = piece;
+    for (const auto& one : grown) listAround(one.first, front);
+  }
+}
+
+/// Pieces of leaves; their cells get the shape of the piece alone.
+Pieces findPieces(Cells& cells) {
+  const NeighborGrid grid(cells.centers, kShapeRadius);
+  Pieces pieces;
+  pieces.of_cell = joinSmoothCells(cells, grid);
+  growPieces(cells, grid, pieces.of_cell);
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    const std::int32_t piece = pieces.of_cell[n];
+    if (piece < 0) continue;
+    if (pieces.cells.size() <= static_cast<std::size_t>(piece)) {
+      pieces.cells.resize(static_cast<std::size_t>(piece) + 1U);
+    }
+    pieces.cells[static_cast<std::size_t>(piece)].push_back(n);
+    const Ribbon ribbon = fitRibbon(cells, grid, pieces.of_cell, cells.centers[n], piece);
+    if (!ribbon.known) continue;
+    cells.shapes[n].direction = ribbon.direction;
+    cells.shapes[n].normal = ribbon.normal;
+    cells.shapes[n].linearity = ribbon.linearity;
+  }
+  return pieces;
+}
+
+/// A piece that may go on in another, and what that costs.
+struct Link {
+  std::uint32_t piece = 0U;
+  float cost = 0.0F;
+};
+
+/// Links pieces that lie in each other's continuation: dear over gaps, and dearer round bends.
+std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& pieces,
+                                          const GroundModel& ground, float reach) {
+  constexpr float kGapScale = 0.06F;   // [m] of gap that costs 1
+  constexpr float kBendScale = 0.26F;  // [rad] standard deviation of a bend
+  constexpr float kAside = 0.006F;     // [m] half a cell: sideways steps that are no bend
+  constexpr float kMostCost = 12.0F;
+  std::vector<Eigen::Vector3f> centers;
+  std::vector<std::uint32_t> cell_of;
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (pieces.of_cell[n] < 0) continue;
+    centers.push_back(cells.centers[n]);
+    cell_of.push_back(n);
+  }
+  std::vector<std::vector<Link>> links(pieces.cells.size());
+  if (centers.empty()) return links;
+  const NeighborGrid grid(centers, reach);
+  std::vector<float> least(pieces.cells.size(), kMostCost);
+  std::vector<std::uint32_t> touched;
+  for (std::size_t piece = 0; piece < pieces.cells.size(); ++piece) {
+    touched.clear();
+    for (const std::uint32_t a : pieces.cells[piece]) {
+      const Eigen::Vector3f& direction = cells.shapes[a].direction;
+      const bool is_low = ground.heightAbove(cells.centers[a]) < kWeedHeight;
+      grid.forEachWithin(cells.centers[a], reach, [&](std::uint32_t k, float squared) {
+        const std::uint32_t b = cell_of[k];
+        const auto other = static_cast<std::uint32_t>(pieces.of_cell[b]);
+        if (other <= piece) return;
+        const float gap = std::sqrt(squared);
+        const float gap_cost = gap / kGapScale;
+        if (gap_cost >= least[other]) return;
+        const Eigen::Vector3f step = cells.centers[b] - cells.centers[a];
+        // Squares of angles, nearly: 2 - 2 cos.
+        const auto bend = [&](const Eigen::Vector3f& along) {
+          const float ahead = std::abs(step.dot(along));
+          const float aside = std::sqrt(std::max(0.0F, squared - ahead * ahead)) - kAside;
+          return aside > 0.0F ? 2.0F - 2.0F * ahead / std::hypot(ahead, aside) : 0.0F;
+        };
+        const Eigen::Vector3f& onward = cells.shapes[b].direction;
+        const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
+        const float cost =
+            gap_cost + 0.5F * (bend(direction) + bend(onward) + whole) / (kBendScale * kBendScale);
+        if (cost >= least[other]) return;
+        if (gap > kNearReach && (is_low || ground.heightAbove(cells.centers[b]) < kWeedHeight)) {
+          return;
+        }
+        if (least[other] == kMostCost) touched.push_back(other);
+        least[other] = cost;
+      });
+    }
+    for (const std::uint32_t other : touched) {
+      links[piece].push_back({other, least[other]});
+      links[other].push_back({static_cast<std::uint32_t>(piece), least[other]});
+      least[other] = kMostCost;
+    }
+  }
+  return links;
+}
+
+// ---------------------------------------------------------------------------- form of leaves
+
+/// How a place on an organ lies to an axis.
+struct Pose {
+  bool known = false;     // false where it is too near to the axis to tell
+  float distance = 0.0F;  // [m] level distance from the axis
+  float miss = 0.0F;      // [m] by which the organ points past the axis
+  float slope = 0.0F;     // [rad] of the organ outwards, upwards positive
+};
+
+Pose poseOf(const LocalShape& shape, const Eigen::Vector3f& center, const StemAxis& axis) {
+  constexpr float kOnStem = 0.025F;  // [m]
+  Pose pose;
+  const Eigen::Vector2f away = (center - axis.pointAtHeight(center.z())).head<2>();
+  pose.distance = away.norm();
+  const Eigen::Vector2f run = shape.direction.head<2>();
+  const float level = run.norm();
+  pose.known = pose.distance >= kOnStem && level > 1e-3F;
+  if (!pose.known) return pose;
+  // What stands upright points nowhere.
+  pose.miss =
+      std::abs(run.x() * away.y() - run.y() * away.x()) / level * std::min(1.0F, 2.0F * level);
+  const float outward = run.dot(away);
+  pose.slope =
+      std::atan2(std::copysign(shape.direction.z(), outward), std::abs(outward) / pose.distance);
+  return pose;
+}
+
+/// Form of the leaves of a stand, by the distance from their stem. Maize leaves stay in a vertical
+/// plane through their own stem, rise steeply from it and flatten, then droop. How soon depends on
+/// age and variety, so it is learnt from the block itself.
+class LeafForm {
+ public:
+  /// Leaves about tasselling, loosely.
+  LeafForm() {
+    constexpr float kSlopeAtStem = 1.13F;  // [rad]
+    constexpr float kSlopeLoss = 2.1F;     // [rad/m]
+    for (std::size_t k = 0; k < kBins; ++k) {
+      const float distance = kBin * (static_cast<float>(k) + 0.5F);
+      bins_[k].slope = kSlopeAtStem - kSlopeLoss * distance;
+      bins_[k].slope_spread = 0.35F + 1.0F * distance;
+      bins_[k].miss_spread = 0.02F + 0.3F * distance;
+    }
+  }
+
+  /// The form of the organs that have an owner; robust against a minority of wrong ones.
+  static LeafForm learn(const Cells& cells, const std::vector<StemAxis>& axes) {
+    constexpr float kLeastLinearity = 0.3F;
+    std::array<std::vector<float>, kBins> slopes;
+    std::array<std::vector<float>, kBins> misses;
+    for (std::uint32_t n = 0; n < cells.size(); ++n) {
+      if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
+      if (cells.shapes[n].linearity < kLeastLinearity) continue;
+      const Pose pose =
+          poseOf(cells.shapes[n], cells.centers[n], axes[static_cast<std::size_t>(cells.owner[n])]);
+      const auto bin = static_cast<std::size_t>(pose.distance / kBin);
+      if (!pose.known || bin >= kBins) continue;
+      slopes[bin].push_back(pose.slope);
+      misses[bin].push_back(pose.miss);
+    }
+    constexpr std::size_t kEnough = 100U;
+    constexpr float kLeastSlopeSpread = 0.15F;  // [rad]
+    constexpr float kLeastMissSpread = 0.015F;  // [m]
+    constexpr float kStddevOfMad = 1.48F;
+    LeafForm form;
+    const Bin* last = nullptr;
+    for (std::size_t k = 0; k < kBins; ++k) {
+      Bin& bin = form.bins_[k];
+      if (slopes[k].size() >= kEnough) {
+        bin.slope = median(slopes[k]);
+        for (float& slope : slopes[k]) slope = std::abs(slope - bin.slope);
+        bin.slope_spread = std::max(kLeastSlopeSpread, kStddevOfMad * median(slopes[k]));
+        bin.miss_spread = std::max(kLeastMissSpread, kStddevOfMad * median(misses[k]));
+        last = &bin;
+      } else if (last != nullptr) {
+        bin = *last;
+      }
+    }
+    return form;
+  }
+
+  /// How little a place on an organ looks like one of the plant with that axis, from 0. Leaves that
+  /// cross from a neighbour point past the stem and rise the wrong way.
+  float misfit(const LocalShape& shape, const Eigen::Vector3f& center, const StemAxis& axis) const {
+    const Pose pose = poseOf(shape, center, axis);
+    if (!pose.known) return 0.0F;
+    const float at = std::clamp(pose.distance / kBin - 0.5F, 0.0F, kBins - 1.001F);
+    const auto k = static_cast<std::size_t>(at);
+    const float share = at - static_cast<float>(k);
+    const auto between = [&](float Bin::*value) {
+      return (1.0F - share) * bins_[k].*value + share * bins_[k + 1U].*value;
+    };
+    const float off_plane = pose.miss / between(&Bin::miss_spread);
+    const float off_slope = (pose.slope - between(&Bin::slope)) / between(&Bin::slope_spread);
+    constexpr float kMost = 10.0F;
+    return shape.linearity *
+           std::min(0.5F * (off_plane * off_plane + off_slope * off_slope), kMost);
+  }
+
+ private:
+  static constexpr std::size_t kBins = 20U;
+  static constexpr float kBin = 0.05F;  // [m]
+  struct Bin {
+    float slope = 0.0F;
+    float slope_spread = 0.0F;
+    float miss_spread = 0.0F;
+  };
+
+  static float median(std::vector<float>& values) {
+    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
+    std::nth_element(values.begin(), middle, values.end());
+    return *middle;
+  }
+
+  std::array<Bin, kBins> bins_;
+};
+
+// ---------------------------------------------------------------------------- pieces to plants
+
+struct Entry {
+  float cost;
+  std::uint32_t node;
+  bool operator>(const Entry& other) const {
+    return cost != other.cost ? cost > other.cost : node > other.node;
+  }
+};
+using Queue = std::priority_queue<Entry, std::vector<Entry>, std::greater<Entry>>;
+
+/// Gives whole pieces to plants. A plant gets at a piece from its stem or through pieces that this
+/// one continues; every piece on the way costs as much as its form does not fit that plant. The
+/// plant with the cheapest way has it.
+void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vector<Link>>& links,
+                  const std::vector<StemAxis>& axes, const GroundModel& ground, float reach,
+                  const LeafForm& form, float misfit_weight) {
+  constexpr float kMostCost = 60.0F;
+  constexpr float kGapScale = 0.04F;    // [m] of gap between a stem and its leaf that costs 1
+  constexpr float kWholeCells = 30.0F;  // a piece of so many has its full say
+  constexpr float kNone = std::numeric_limits<float>::max();
+  const std::size_t count = pieces.cells.size();
+  std::vector<std::uint8_t> has_stem(axes.size(), 0U);
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (cells.is_stem[n] != 0U) has_stem[static_cast<std::size_t>(cells.owner[n])] = 1U;
+  }
+  const NeighborGrid grid(cells.centers, 0.5F * reach);
+  std::vector<float> least(count, kNone);
+  std::vector<std::int32_t> plant_of(count, -1);
+  std::vector<float> cost(count, kNone);
+  std::vector<float> start(count, kNone);  // at the stem
+  std::vector<float> misfits(count, kNone);
+  std::vector<std::uint32_t> starts;
+  std::vector<std::uint32_t> touched;
+  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
+    if (has_stem[plant] == 0U) continue;
+    const StemAxis& axis = axes[plant];
+    Queue open;
+    const auto offer = [&](std::uint32_t piece, float through) {
+      if (through >= std::min(cost[piece], kMostCost)) return;
+      if (misfits[piece] == kNone) {
+        float sum = 0.0F;
+        for (const std::uint32_t n : pieces.cells[piece]) {
+          sum += form.misfit(cells.shapes[n], cells.centers[n], axis);
+        }
+        const auto size = static_cast<float>(pieces.cells[piece].size());
+        misfits[piece] = misfit_weight * sum / std::max(size, kWholeCells);
+        touched.push_back(piece);
+      }
+      through += misfits[piece];
+      if (through >= std::min(cost[piece], kMostCost)) return;
+      cost[piece] = through;
+      open.push({through, piece});
+    };
+
+    constexpr float kBeyondTop = 0.15F;  // [m] leaves of the whorl stand on above the end
+    starts.clear();
+    const float slab = 0.5F * reach;
+    for (float s = 0.0F; s <= axis.length() + kBeyondTop; s += slab) {
+      const Eigen::Vector3f middle = axis.pointAt(s);
+      grid.forEachWithin(middle, reach, [&](std::uint32_t n, float) {
+        if (pieces.of_cell[n] < 0) return;
+        const Eigen::Vector3f& center = cells.centers[n];
+        if (std::abs(center.z() - middle.z()) > 0.5F * slab) return;
+        const auto piece = static_cast<std::uint32_t>(pieces.of_cell[n]);
+        const float away = (center - axis.pointAtHeight(center.z())).head<2>().norm();
+        const float gap = std::max(0.0F, away - axis.radiusAt(s));
+        if (gap > kNearReach && ground.heightAbove(center) < kWeedHeight) return;
+        const float here = gap / kGapScale + form.misfit(cells.shapes[n], center, axis);
+        if (start[piece] == kNone) starts.push_back(piece);
+        start[piece] = std::min(start[piece], here);
+      });
+    }
+    for (const std::uint32_t piece : starts) {
+      offer(piece, start[piece]);
+      start[piece] = kNone;
+    }
+    while (!open.empty()) {
+      const Entry entry = open.top();
+      open.pop();
+      if (entry.cost > cost[entry.node]) continue;
+      if (entry.cost < least[entry.node]) {
+        least[entry.node] = entry.cost;
+        plant_of[entry.node] = static_cast<std::int32_t>(plant);
+      }
+      for (const Link& link : links[entry.node]) offer(link.piece, entry.cost + link.cost);
+    }
+    for (const std::uint32_t piece : touched) cost[piece] = misfits[piece] = kNone;
+    touched.clear();
+  }
+  for (std::size_t piece = 0; piece < count; ++piece) {
+    for (const std::uint32_t n : pieces.cells[piece]) cells.owner[n] = plant_of[piece];
+  }
+}
+
+// ---------------------------------------------------------------------------- what is left
+
 /// Cost of a step: its squared length, times more the less it follows the organs at both ends, and
-/// more where the organ itself turns. A leaf that passes a foreign stem or leaf is nearest to it
-/// across its own direction and runs another way, so it is not captured there; at its insertion it
-/// rises steeply out of its own stem.
-float stepCost(const CellGraph& graph, std::uint32_t from, std::uint32_t to, float squared) {
+/// more where the organ itself turns.
+float stepCost(const Cells& cells, std::uint32_t from, std::uint32_t to, float squared) {
+  constexpr float kAcrossCost = 60.0F;  // how much dearer a step across an organ is than along it
+  constexpr float kTurnCost = 0.02F;    // [m^2] of a turn by a right angle
   if (!(squared > 0.0F)) return 0.0F;
-  const Eigen::Vector3f step = graph.centers[to] - graph.centers[from];
-  const LocalShape& a = graph.shapes[from];
-  const LocalShape& b = graph.shapes[to];
+  const Eigen::Vector3f step = cells.centers[to] - cells.centers[from];
+  const LocalShape& a = cells.shapes[from];
+  const LocalShape& b = cells.shapes[to];
   const auto across = [&](const LocalShape& shape) {
     const float along = step.dot(shape.direction);
     return shape.linearity * (1.0F - along * along / squared);
@@ -95,73 +565,41 @@ float stepCost(const CellGraph& graph, std::uint32_t from, std::uint32_t to, flo
   return squared * (1.0F + kAcrossCost * 0.5F * (across(a) + across(b))) + kTurnCost * turn * turn;
 }
 
-/// How little an organ at a node looks like one of the plant with that axis, from 0. Maize leaves
-/// stay in a vertical plane through their own stem, rise steeply from it and flatten, then droop,
-/// with the distance. Leaves that cross from a neighbour point past the stem and rise the wrong
-/// way.
-float misfit(const LocalShape& shape, const Eigen::Vector3f& center, const StemAxis& axis) {
-  const Eigen::Vector2f away = (center - axis.pointAtHeight(center.z())).head<2>();
-  const float distance = away.norm();
-  constexpr float kOnStem = 0.025F;  // [m] too near to tell
-  const Eigen::Vector2f run = shape.direction.head<2>();
-  const float level = run.norm();
-  if (distance < kOnStem || !(level > 1e-3F)) return 0.0F;
-
-  const float miss = std::abs(run.x() * away.y() - run.y() * away.x()) / level;
-  constexpr float kPlaneWidth = 0.02F;  // [m], and more with the distance
-  constexpr float kPlaneSpread = 0.3F;
-  const float off_plane =
-      miss * std::min(1.0F, 2.0F * level) / (kPlaneWidth + kPlaneSpread * distance);
-
-  const float outward = std::copysign(1.0F, run.dot(away));
-  const float slope = std::atan2(outward * shape.direction.z(), std::abs(run.dot(away)) / distance);
-  constexpr float kSlopeAtStem = 1.13F;  // [rad]
-  constexpr float kSlopeLoss = 2.1F;     // [rad/m]
-  constexpr float kSlopeWidth = 0.35F;   // [rad]
-  constexpr float kSlopeSpread = 1.0F;   // [rad/m]
-  const float off_slope =
-      (slope - (kSlopeAtStem - kSlopeLoss * distance)) / (kSlopeWidth + kSlopeSpread * distance);
-
-  constexpr float kMost = 10.0F;
-  return shape.linearity * std::min(0.5F * (off_plane * off_plane + off_slope * off_slope), kMost);
-}
-
-/// Dijkstra from all owned cells; a path may step `reach` at most.
-void growPaths(CellGraph& graph, const Block& block, const std::vector<StemAxis>& axes, float reach,
-               bool only_tall) {
-  const NeighborGrid grid(graph.centers, reach);
-  struct Entry {
-    float cost;
-    std::uint32_t node;
-    bool operator>(const Entry& other) const {
-      return cost != other.cost ? cost > other.cost : node > other.node;
-    }
-  };
-  std::vector<float> cost(graph.centers.size(), std::numeric_limits<float>::max());
-  std::priority_queue<Entry, std::vector<Entry>, std::greater<Entry>> open;
-  for (std::uint32_t n = 0; n < graph.centers.size(); ++n) {
-    if (graph.owner[n] < 0) continue;
-    cost[n] = 0.0F;
-    open.push({0.0F, n});
+/// Shortest paths from all cells with an owner to those without; a path may step `reach` at most.
+void growPaths(Cells& cells, const GroundModel& ground, const std::vector<StemAxis>& axes,
+               const LeafForm& form, float reach, bool only_tall) {
+  constexpr float kLeastMisfit = 0.1F;  // what a step costs through an organ that fits its plant
+  const NeighborGrid grid(cells.centers, reach);
+  std::vector<float> cost(cells.size(), 0.0F);  // 0: has its owner already
+  std::vector<std::uint8_t> is_source(cells.size(), 0U);
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (cells.owner[n] >= 0) continue;
+    if (only_tall && ground.heightAbove(cells.centers[n]) < kWeedHeight) continue;
+    cost[n] = std::numeric_limits<float>::max();
+    grid.forEachWithin(cells.centers[n], reach, [&](std::uint32_t near, float) {
+      if (cells.owner[near] >= 0) is_source[near] = 1U;
+    });
+  }
+  Queue open;
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (is_source[n] != 0U) open.push({0.0F, n});
   }
   while (!open.empty()) {
     const Entry entry = open.top();
     open.pop();
     if (entry.cost > cost[entry.node]) continue;
-    grid.forEachWithin(graph.centers[entry.node], reach, [&](std::uint32_t next, float squared) {
-      if (graph.is_stem[next] != 0U) return;
-      const float step = stepCost(graph, entry.node, next, squared);
+    const std::int32_t plant = cells.owner[entry.node];
+    const StemAxis& axis = axes[static_cast<std::size_t>(plant)];
+    grid.forEachWithin(cells.centers[entry.node], reach, [&](std::uint32_t next, float squared) {
+      if (cost[next] <= entry.cost) return;
+      const float step = stepCost(cells, entry.node, next, squared);
       if (entry.cost + kLeastMisfit * step >= cost[next]) return;
-      const StemAxis& axis = axes[static_cast<std::size_t>(graph.owner[entry.node])];
-      const float through = entry.cost + step * (kLeastMisfit + misfit(graph.shapes[next],
-                                                                       graph.centers[next], axis));
+      const float through =
+          entry.cost +
+          step * (kLeastMisfit + form.misfit(cells.shapes[next], cells.centers[next], axis));
       if (through >= cost[next]) return;
-      if (only_tall && graph.owner[next] < 0 &&
-          block.ground.heightAbove(graph.centers[next]) < kWeedHeight) {
-        return;
-      }
       cost[next] = through;
-      graph.owner[next] = graph.owner[entry.node];
+      cells.owner[next] = plant;
       open.push({through, next});
     });
   }
@@ -173,13 +611,24 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
                                        std::vector<std::int32_t> owner,
                                        const SegmentationParameters& parameters) {
   if (block.cloud.empty()) return owner;
-  CellGraph graph = buildCells(block, owner);
-  const auto far_reach = static_cast<float>(parameters.organ_reach);
-  growPaths(graph, block, axes, std::min(kNearReach, far_reach), false);
+  const auto reach = static_cast<float>(parameters.organ_reach);
+  Cells cells = gatherCells(block, owner);
+  const Pieces pieces = findPieces(cells);
+  const std::vector<std::vector<Link>> links =
+      linkPieces(cells, pieces, block.ground, 1.3F * reach);
+  // First with leaves as they usually are, then with what that shows of these ones.
+  constexpr float kLooseWeight = 5.0F;
+  constexpr float kFirmWeight = 15.0F;
+  LeafForm form;
+  assignPieces(cells, pieces, links, axes, block.ground, 2.0F * reach, form, kLooseWeight);
+  form = LeafForm::learn(cells, axes);
+  assignPieces(cells, pieces, links, axes, block.ground, 2.0F * reach, form, kFirmWeight);
+  // Crossings, margins and what is too small or rough to be a piece.
+  growPaths(cells, block.ground, axes, form, std::min(kNearReach, reach), false);
   // Gaps that leaves in front have torn; not near the soil, where weeds stand as close.
-  if (far_reach > kNearReach) growPaths(graph, block, axes, far_reach, true);
+  if (reach > kNearReach) growPaths(cells, block.ground, axes, form, reach, true);
   for (std::size_t i = 0; i < owner.size(); ++i) {
-    if (owner[i] < 0) owner[i] = graph.owner[graph.node_of_point[i]];
+    if (owner[i] < 0) owner[i] = cells.owner[cells.of_point[i]];
   }
   return owner;
 }

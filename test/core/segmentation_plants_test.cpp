@@ -492,6 +492,15 @@ TEST_F(Organs, ALeafThatReachesTheOtherStemStaysWithItsOwn) {
   EXPECT_GT(shareOf(leaf, 0), 0.85);
 }
 
+TEST_F(Organs, CrossingLeavesStayWhole) {
+  // Both end past the other stem and pass it, and each other, at less than a leaf's width.
+  const IndexSpan left = addRibbon({-0.29F, 0.02F, 0.50F}, {0.40F, 0.02F, 0.85F});
+  const IndexSpan right = addRibbon({0.29F, -0.02F, 0.50F}, {-0.40F, -0.02F, 0.85F});
+  assign();
+  EXPECT_GT(shareOf(left, 0), 0.9);
+  EXPECT_GT(shareOf(right, 1), 0.9);
+}
+
 TEST_F(Organs, GapsAreBridgedUpToTheReach) {
   addRibbon({-0.29F, 0.0F, 0.6F}, {-0.20F, 0.0F, 0.7F});
   const IndexSpan torn = addRibbon({-0.15F, 0.0F, 0.755F}, {-0.10F, 0.0F, 0.81F});
