@@ -54,15 +54,15 @@ double secondsSince(Clock::time_point start) {
 
 /// The values to try, every combination of them.
 struct Grid {
-  std::vector<int> normal_neighbours = {10, 20, 40};
-  std::vector<int> neighbours = {10, 20, 30};
-  std::vector<double> smoothness = {3.0, 6.0, 12.0, 20.0};  // [deg]
-  std::vector<double> curvature = {0.02, 0.05, 0.1, 0.2};
+  std::vector<int> normal_neighbours = {20, 40, 80};
+  std::vector<int> neighbours = {15, 30, 60};
+  std::vector<double> smoothness = {10.0, 20.0, 30.0, 45.0};  // [deg]
+  std::vector<double> curvature = {0.05, 0.1, 0.2};
   std::vector<double> tolerance = {0.005, 0.0075, 0.01, 0.015, 0.02, 0.03};  // [m]
   std::vector<double> tilt = {15.0, 25.0, 40.0};                             // [deg]
-  std::vector<double> thickness = {0.008, 0.012, 0.018, 0.03};               // [m]
+  std::vector<double> thickness = {0.012, 0.02, 0.03, 0.06};                 // [m]
   std::vector<double> length = {0.05, 0.1, 0.2, 0.4};                        // [m]
-  std::vector<double> elongation = {2.0, 4.0, 8.0};
+  std::vector<double> elongation = {1.0, 2.0, 4.0, 8.0};
   std::vector<double> foot = {0.3, 0.8, 2.0};  // [m]
 };
 
