@@ -346,8 +346,9 @@ Eigen::Vector3d baseOf(const Shape& shape) {
   return shape.mean + shape.axis * ((shape.soil - shape.mean.z()) / shape.axis.z());
 }
 
-/// Stem clusters by plant: a stem that broke into pieces is one plant where their axes meet the
-/// soil nearer to one another than two plants may stand. The longest piece gives the base.
+/// Stem clusters by plant, for a stem breaks into pieces. A piece belongs to the plant whose
+/// longest piece's axis it lies near to, or meets the soil near to: nearer than two plants may
+/// stand.
 struct Plants {
   std::vector<Phenotype> plants;
   std::vector<std::int32_t> plant_of;  ///< of each cluster; -1 where it is no stem
@@ -367,9 +368,14 @@ Plants joinPieces(const Result& result, const Eigen::Vector3d& origin) {
   for (const std::size_t c : stems) {
     const Shape& shape = result.shapes[c];
     const Eigen::Vector3d base = origin + baseOf(shape);
-    auto same = std::find_if(
-        joined.plants.begin(), joined.plants.end(),
-        [&](const Phenotype& plant) { return (plant.base - base).head<2>().norm() < spacing; });
+    const Eigen::Vector3d mean = origin + shape.mean;
+    auto same =
+        std::find_if(joined.plants.begin(), joined.plants.end(), [&](const Phenotype& plant) {
+          const double rise = (mean.z() - plant.base.z()) / plant.axis.z();
+          const Eigen::Vector3d at_height = plant.base + rise * plant.axis;
+          return (at_height - mean).head<2>().norm() < spacing ||
+                 (plant.base - base).head<2>().norm() < spacing;
+        });
     if (same == joined.plants.end()) {
       Phenotype plant;
       plant.id = static_cast<std::int32_t>(joined.plants.size());
