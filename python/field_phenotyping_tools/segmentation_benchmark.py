@@ -1,5 +1,6 @@
-"""The tables of benchmark_segmentation. Every table takes a Bench and a folder for pictures, prints
-itself row by row, and returns {row: figures}.
+"""The tables of benchmark_segmentation.
+
+Each takes a Bench and a folder for pictures, prints itself row by row and returns {row: figures}.
 """
 
 import json
@@ -277,9 +278,8 @@ def scaling(bench, _folder, plants=_SCALING_ROWS):
         label = '{} x'.format(times)
         bench.progress('scaling: ' + label)
         points = _SCALING_POINTS * row_count * in_each
-        field = bench.simulate(
-            '--rows', row_count, '--plants-per-row', in_each, '--points', points
-        )  # fmt: skip
+        size = ['--rows', row_count, '--plants-per-row', in_each, '--points', points]
+        field = bench.simulate(*size)
         run = bench.measure(cloud_of(field), '--threads', '1')
         seconds = stage_times(run)
         first = rows.get('1 x', {}).get('segmentation_s', seconds['segmentation'])
