@@ -163,10 +163,21 @@ def rivals(bench, _folder, stages=STAGES, field=_SMALL_FIELD, grid=()):
             rows[label] = dict(score(run, truth), **rival_times(result, times['segmentation']))
             print_row(label, columns, rows[label])
             notes.append('{}: {}'.format(label, settings_text(result)))
+    note_load()
     print('\nSettings that were best:\n')
     for note in notes:
         print('- ' + note, flush=True)
     return rows
+
+
+def note_load():
+    """Says so where more was running than there are cores, for then seconds mean little."""
+    load, cores = os.getloadavg()[0], os.cpu_count() or 1
+    if load > cores + 0.5:
+        print(
+            '\nBUSY: load {:.1f} on {} cores; do not trust the seconds above.'.format(load, cores),
+            flush=True,
+        )
 
 
 def rival_times(result, our_seconds):
@@ -292,6 +303,7 @@ def scaling(bench, _folder, plants=_SCALING_ROWS):
         }
         print_row(label, columns, rows[label])
     print_row('goal for 8 x, at most', columns, {'time_ratio': MOST_SCALING})
+    note_load()
     return rows
 
 
