@@ -1,4 +1,4 @@
-"""Plots of measured against true values. Values in metres or radians; units on the axes."""
+"""Plots of measured against true values, and of scores. Units on the axes."""
 
 import matplotlib
 
@@ -174,6 +174,29 @@ def coverage(path, rows):
         axes.set_xlabel('error / reported standard deviation [-]')
         axes.set_ylabel('density [-]')
         axes.set_title(TRAIT_UNITS[trait][0])
+    _save(figure, path)
+
+
+def similarity_sweep(path, values, scores, paper_values, paper_scores):
+    """Scores over the similarity threshold M, beside the paper's (form of Table 1).
+
+    scores, paper_scores: {title: scores [%]} at `values` and `paper_values` of M.
+    """
+    figure, axes = plt.subplots(figsize=(7.0, 5.0), constrained_layout=True)
+    for color, title in zip(('tab:green', 'tab:blue', 'tab:orange', 'tab:red'), scores):
+        axes.plot(values, scores[title], 'o-', color=color, label=title)
+        axes.plot(
+            paper_values,
+            paper_scores[title],
+            '--',
+            color=color,
+            alpha=0.5,
+            label=title + ', paper, its own field',
+        )
+    axes.legend(loc='best', fontsize=8, ncol=2)
+    axes.set_xlabel('similarity threshold M [-]')
+    axes.set_ylabel('score [%]')
+    axes.grid(alpha=0.3)
     _save(figure, path)
 
 

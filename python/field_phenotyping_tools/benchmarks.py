@@ -1,0 +1,144 @@
+"""What the benchmark programs share: fields, runs of the programs, and tables of their figures."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+from . import evaluation
+from .errors import InputError
+
+STAGES = ('jointing', 'tasselling', 'ripe')
+_OF_80_PLANTS = ['--plants-per-row', '20', '--points', '600000']  # as dense as a whole field
+# (label, settings of simulate_field) of fields that are harder than the plain one
+HARD_FIELDS = (
+    ('seedlings', ['--stage', 'seedling'] + _OF_80_PLANTS),
+    ('noise 10 mm', ['--noise', '0.010'] + _OF_80_PLANTS),
+    ('35 % dropouts', ['--dropout', '0.35'] + _OF_80_PLANTS),
+    ('150,000 points on 80 plants', ['--plants-per-row', '20', '--points', '150000']),
+    ('10 deg slope, 6 cm ridges', ['--slope', '10', '--ridge-height', '0.06'] + _OF_80_PLANTS),
+    ('250 weeds on 12 m^2', ['--weeds', '250'] + _OF_80_PLANTS),
+    ('lodged, sd 14 deg', ['--lean-stddev', '14'] + _OF_80_PLANTS),
+    (
+        '0.45 x 0.10 m, 1.8 m tall, 340,000 points on 80 plants',
+        ['--row-spacing', '0.45', '--plant-spacing', '0.1', '--plant-height', '1.8']
+        + ['--plants-per-row', '20', '--points', '340000'],
+    ),
+)
+
+
+class Bench:
+    """Runs the programs in a folder of its own, which is gone when the `with` block ends.
+
+    The programs are found with rosrun, or where an environment variable with their name in capitals
+    says. What is done goes to standard error with the seconds since the start.
+    """
+
+    def __init__(self, seed=1):
+        self.seed = seed
+        self._begin = time.time()
+        self._count = 0
+
+    def __enter__(self):
+        self._folder = tempfile.mkdtemp(prefix='field_phenotyping_benchmark_')
+        return self
+
+    def __exit__(self, *_):
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def progress(self, text):
+        print('{:5.0f} s  {}'.format(time.time() - self._begin, text), file=sys.stderr, flush=True)
+
+    def run(self, name, *arguments):
+        """Runs a program of this package; raises InputError with what it said if it fails."""
+        program = os.environ.get(name.upper())
+        command = [program] if program else ['rosrun', 'field_phenotyping', name]
+        command += [str(argument) for argument in arguments]
+        try:
+            done = subprocess.run(
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                universal_newlines=True,
+            )
+        except OSError as error:
+            raise InputError(
+                'Cannot run {}: {}. Start this through scripts/env.'.format(
+                    command[0], error.strerror
+                )
+            )
+        if done.returncode != 0:
+            raise InputError('{} failed:\n{}'.format(' '.join(command), done.stderr.strip()))
+
+    def simulate(self, *settings):
+        """Folder of a new simulated field, of the bench's seed if the settings give none."""
+        field = self._new_folder('field')
+        seed = [] if '--seed' in settings else ['--seed', self.seed]
+        self.run('simulate_field', '--no-bag', '--output', field, *seed, *settings)
+        return field
+
+    def measure(self, cloud, *settings):
+        """Folder of a run of phenotype_cloud with its defaults and `settings`."""
+        run = self._new_folder('run')
+        self.run('phenotype_cloud', cloud, '--output', run, *settings)
+        return run
+
+    def cluster(self, cloud, method, *settings):
+        """Folder of a run of pcl_clusters."""
+        run = self._new_folder(method)
+        self.run('pcl_clusters', cloud, '--method', method, '--output', run, *settings)
+        return run
+
+    def simulated_figures(self, *settings):
+        """What `evaluate` finds for phenotype_cloud on a simulated field."""
+        field = self.simulate(*settings)
+        return score(self.measure(cloud_of(field)), field)
+
+    def _new_folder(self, name):
+        self._count += 1
+        return os.path.join(self._folder, '{}_{}'.format(name, self._count))
+
+
+def cloud_of(field):
+    return os.path.join(field, 'cloud.pcd')
+
+
+def score(run, truth):
+    """The figures that `evaluate --json` writes, in metres and radians."""
+    return evaluation.evaluate(evaluation.Run(run), truth).figures
+
+
+def stage_times(run):
+    """Seconds of each stage of a run of phenotype_cloud, and their sum as `whole`."""
+    with open(os.path.join(run, 'timing.json')) as file:
+        times = {stage: time['seconds'] for stage, time in json.load(file).items()}
+    return dict(times, whole=sum(times.values()))
+
+
+def figure(name, scale=1.0, decimals=2):
+    """Text of a figure; metres become the unit that `scale` makes of them."""
+
+    def text(figures):
+        value = figures.get(name)
+        if value is None or value != value:
+            return '-'
+        return '{:.{}f}'.format(scale * value, decimals)
+
+    return text
+
+
+def recall_and_precision(figures):
+    return ' / '.join(figure(name, decimals=3)(figures) for name in ('recall', 'precision'))
+
+
+def print_header(first, columns):
+    """Starts a Markdown table. columns: (title, text of a row's figures) of each but the first."""
+    print('\n| {} |'.format(' | '.join([first] + [title for title, _ in columns])))
+    print('|---' * (1 + len(columns)) + '|', flush=True)
+
+
+def print_row(label, columns, figures):
+    print('| {} |'.format(' | '.join([label] + [text(figures) for _, text in columns])), flush=True)
