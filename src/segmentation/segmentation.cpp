@@ -127,12 +127,11 @@ void growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seed
   }
 }
 
-std::vector<Stem> onlyStems(const Block& block, const NeighborGrid& grid, std::vector<Stem> grown,
-                            const SegmentationParameters& parameters) {
+std::vector<Stem> onlyStems(const StemSelection& selection, std::vector<Stem> grown) {
   std::vector<StemCandidate> candidates;
   for (const Stem& stem : grown) candidates.push_back({stem.midline, stem.points});
   std::vector<Stem> stems;
-  for (const std::size_t k : selectStems(block, grid, candidates, parameters)) {
+  for (const std::size_t k : selection.stemsAmong(candidates)) {
     stems.push_back(std::move(grown[k]));
   }
   return stems;
@@ -254,19 +253,20 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const NeighborGrid grid(points, 0.5F * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);
   const GrowthScene scene{points, shapes, grid};
+  const StemSelection selection(block, grid, parameters);
 
   // Steps 1-3: start points, growth and pruning. What has grown shows which of them are stems.
   std::vector<Stem> stems;
   growCandidates(scene, findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright),
                  block.ground, parameters, stems);
-  stems = onlyStems(block, grid, std::move(stems), parameters);
+  stems = onlyStems(selection, std::move(stems));
   // Step 4: again, with other evidence, where nothing was found.
   const std::size_t most = 8U + stems.size();  // few are missing where many were found
   growCandidates(scene,
                  findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kDensity,
                                explainedPoints(scene, stems), most),
                  block.ground, parameters, stems);
-  stems = onlyStems(block, grid, std::move(stems), parameters);
+  stems = onlyStems(selection, std::move(stems));
   std::sort(stems.begin(), stems.end(), [](const Stem& a, const Stem& b) {
     const Eigen::Vector3f low_a = a.midline.axis.nodes().front().position;
     const Eigen::Vector3f low_b = b.midline.axis.nodes().front().position;

@@ -305,11 +305,6 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& blo
     drawToCurve(stem.points);
     stems.push_back(std::move(stem));
   }
-  std::sort(stems.begin(), stems.end(), [](const StemSeeds& a, const StemSeeds& b) {
-    return a.points.front().x() != b.points.front().x()
-               ? a.points.front().x() < b.points.front().x()
-               : a.points.front().y() < b.points.front().y();
-  });
   return stems;
 }
 

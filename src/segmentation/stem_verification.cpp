@@ -3,44 +3,17 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
 #include <numeric>
 #include <utility>
 
 namespace field_phenotyping {
 namespace {
 
-/// Height of the canopy round every place: the highest points of coarse cells and their neighbours.
-class CanopyHeight {
- public:
-  explicit CanopyHeight(const Block& block) {
-    for (const Eigen::Vector3f& point : block.cloud.points) {
-      float& height = heights_[cellOf(point)];
-      height = std::max(height, block.ground.heightAbove(point));
-    }
-  }
-
-  float around(const Eigen::Vector3f& point) const {
-    const auto [x, y] = cellOf(point);
-    float height = 0.0F;
-    for (int dy = -1; dy <= 1; ++dy) {
-      for (int dx = -1; dx <= 1; ++dx) {
-        const auto cell = heights_.find({x + dx, y + dy});
-        if (cell != heights_.end()) height = std::max(height, cell->second);
-      }
-    }
-    return height;
-  }
-
- private:
-  static std::pair<int, int> cellOf(const Eigen::Vector3f& point) {
-    constexpr float kCell = 0.25F;
-    return {static_cast<int>(std::floor(point.x() / kCell)),
-            static_cast<int>(std::floor(point.y() / kCell))};
-  }
-
-  std::map<std::pair<int, int>, float> heights_;
-};
+std::pair<int, int> canopyCellOf(const Eigen::Vector3f& point) {
+  constexpr float kCell = 0.25F;  // [m]
+  return {static_cast<int>(std::floor(point.x() / kCell)),
+          static_cast<int>(std::floor(point.y() / kCell))};
+}
 
 /// How much of a stem's length, from the soil up, shows it.
 struct Visibility {
@@ -184,19 +157,40 @@ float typicalRadius(const std::vector<StemCandidate>& candidates,
 
 }  // namespace
 
-std::vector<std::size_t> selectStems(const Block& block, const NeighborGrid& grid,
-                                     const std::vector<StemCandidate>& candidates,
-                                     const SegmentationParameters& parameters) {
+CanopyHeight::CanopyHeight(const Block& block) {
+  for (const Eigen::Vector3f& point : block.cloud.points) {
+    float& height = heights_[canopyCellOf(point)];
+    height = std::max(height, block.ground.heightAbove(point));
+  }
+}
+
+float CanopyHeight::around(const Eigen::Vector3f& point) const {
+  const auto [x, y] = canopyCellOf(point);
+  float height = 0.0F;
+  for (int dy = -1; dy <= 1; ++dy) {
+    for (int dx = -1; dx <= 1; ++dx) {
+      const auto cell = heights_.find({x + dx, y + dy});
+      if (cell != heights_.end()) height = std::max(height, cell->second);
+    }
+  }
+  return height;
+}
+
+StemSelection::StemSelection(const Block& block, const NeighborGrid& grid,
+                             const SegmentationParameters& parameters)
+    : block_(block), grid_(grid), parameters_(parameters), canopy_(block) {}
+
+std::vector<std::size_t> StemSelection::stemsAmong(
+    const std::vector<StemCandidate>& candidates) const {
   if (candidates.empty()) return {};
-  const CanopyHeight canopy(block);
   const float band_height = bandHeight(candidates);
   std::vector<float> merits;
   std::vector<Eigen::Vector3f> bases;
   for (const StemCandidate& stem : candidates) {
-    bases.push_back(baseOf(block, stem));
+    bases.push_back(baseOf(block_, stem));
     constexpr float kLowestCanopy = 0.1F;  // [m]
-    const float height = std::max(canopy.around(bases.back()), kLowestCanopy);
-    merits.push_back(meritOf(block, grid, stem, height, band_height));
+    const float height = std::max(canopy_.around(bases.back()), kLowestCanopy);
+    merits.push_back(meritOf(block_, grid_, stem, height, band_height));
   }
   const float typical = typicalRadius(candidates, merits);
   for (std::size_t c = 0; c < candidates.size(); ++c) {
@@ -210,14 +204,14 @@ std::vector<std::size_t> selectStems(const Block& block, const NeighborGrid& gri
 
   // Of several candidates for one stem the best.
   std::vector<std::size_t> distinct;
-  std::vector<std::uint8_t> taken(block.cloud.size(), 0U);
+  std::vector<std::uint8_t> taken(block_.cloud.size(), 0U);
   for (const std::size_t c : order) {
     const std::vector<std::uint32_t>& points = candidates[c].points;
     constexpr float kLeastMerit = 3.0F;
     if (merits[c] < kLeastMerit) break;
     const bool too_near = std::any_of(distinct.begin(), distinct.end(), [&](std::size_t other) {
       return (bases[c] - bases[other]).head<2>().norm() <
-             static_cast<float>(parameters.min_plant_spacing);
+             static_cast<float>(parameters_.min_plant_spacing);
     });
     if (too_near) continue;
     const auto shared = static_cast<std::size_t>(std::count_if(

@@ -24,12 +24,12 @@ enum class SeedEvidence {
 
 /// Finds candidates for the stems of a block. Leaves at stem height, weeds and gaps are survived
 /// because evidence must persist vertically: a stem is the best-supported chain of clusters of
-/// votes over the slabs. Some candidates are leaves; what grows from them shows it (selectStems).
-/// Ordered by x, then y, of the lowest seed.
+/// votes over the slabs. Some candidates are leaves; what grows from them shows it (StemSelection).
+/// Best-supported first.
 /// @param grid      over the points of `block.cloud`
 /// @param shapes    local shape of every point of `block.cloud`
 /// @param explained points to leave out, 1 each; empty: none
-/// @param most      candidates; the best-supported ones
+/// @param most      candidates
 std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& grid,
                                      const std::vector<LocalShape>& shapes,
                                      const SegmentationParameters& parameters,

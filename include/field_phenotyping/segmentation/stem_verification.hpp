@@ -1,6 +1,8 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
+#include <utility>
 #include <vector>
 
 #include "field_phenotyping/common/neighbor_grid.hpp"
@@ -10,6 +12,18 @@
 
 namespace field_phenotyping {
 
+/// Height of the canopy round every place of a block: the highest points of coarse cells and their
+/// neighbours.
+class CanopyHeight {
+ public:
+  explicit CanopyHeight(const Block& block);
+  /// Above the soil [m]; 0 where there are no points.
+  float around(const Eigen::Vector3f& point) const;
+
+ private:
+  std::map<std::pair<int, int>, float> heights_;
+};
+
 /// A grown stem that may be a leaf, a weed, or a plant that another candidate has found as well.
 struct StemCandidate {
   const Midline& midline;  ///< from the soil to the top of the stem
@@ -17,15 +31,28 @@ struct StemCandidate {
       points;  ///< that grew, ascending indices into the block's cloud
 };
 
-/// Which candidates are stems; ascending indices.
+/// Tells the stems of a block from leaves, weeds and plants found twice.
 ///
 /// Seeds are generous, for only a grown stem shows what it is: one that runs from the soil up
 /// without long gaps, with much more evidence for its height than leaves and noise give. How much
 /// that is depends on the sensor, so every candidate is measured against the block's best. Of two
 /// candidates that share points, or that stand nearer than min_plant_spacing, the better stays.
-/// @param grid over the points of `block.cloud`
-std::vector<std::size_t> selectStems(const Block& block, const NeighborGrid& grid,
-                                     const std::vector<StemCandidate>& candidates,
-                                     const SegmentationParameters& parameters);
+///
+/// Refers to block, grid and parameters, which must outlive it. Thread-safe; deterministic.
+class StemSelection {
+ public:
+  /// @param grid over the points of `block.cloud`
+  StemSelection(const Block& block, const NeighborGrid& grid,
+                const SegmentationParameters& parameters);
+
+  /// Which candidates are stems; ascending indices.
+  std::vector<std::size_t> stemsAmong(const std::vector<StemCandidate>& candidates) const;
+
+ private:
+  const Block& block_;
+  const NeighborGrid& grid_;
+  const SegmentationParameters& parameters_;
+  CanopyHeight canopy_;
+};
 
 }  // namespace field_phenotyping
