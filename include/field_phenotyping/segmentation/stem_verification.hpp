@@ -12,16 +12,27 @@
 
 namespace field_phenotyping {
 
-/// Height of the canopy round every place of a block: the highest points of coarse cells and their
-/// neighbours.
-class CanopyHeight {
+/// What the sensor shows of the canopy round every place of a block: how high it stands, and how
+/// dark it is inside. Counts points in coarse columns; every answer takes in the neighbouring ones.
+class Canopy {
  public:
-  explicit CanopyHeight(const Block& block);
+  explicit Canopy(const Block& block);
   /// Above the soil [m]; 0 where there are no points.
-  float around(const Eigen::Vector3f& point) const;
+  float heightAround(const Eigen::Vector3f& point) const;
+  /// How much of what stands at a point's height the sensor sees, from 0 (hidden by the canopy
+  /// above) to 1: the points there, against those of the height that shows most.
+  float lightAround(const Eigen::Vector3f& point) const;
 
  private:
-  std::map<std::pair<int, int>, float> heights_;
+  struct Column {
+    float height = 0.0F;
+    std::vector<std::uint32_t> counts;  // by height above the soil
+  };
+  template <class Visit>
+  void forEachAround(const Eigen::Vector3f& point, Visit&& visit) const;
+
+  const GroundModel& ground_;
+  std::map<std::pair<int, int>, Column> columns_;
 };
 
 /// A grown stem that may be a leaf, a weed, or a plant that another candidate has found as well.
@@ -52,7 +63,7 @@ class StemSelection {
   const Block& block_;
   const NeighborGrid& grid_;
   const SegmentationParameters& parameters_;
-  CanopyHeight canopy_;
+  Canopy canopy_;
 };
 
 }  // namespace field_phenotyping
