@@ -273,12 +273,18 @@ double RowModel::spacingOdds(const Eigen::Vector2d& position,
       before = std::min(before, -ahead);
     }
   }
-  const bool first = !std::isfinite(before);
-  const bool last = !std::isfinite(after);
-  if (first && last) return 1.0;
-  if (first || last) return plant_spacing_ * intervalDensity(first ? after : before);
-  return plant_spacing_ * intervalDensity(before) * intervalDensity(after) /
-         intervalDensity(before + after);
+  const bool alone = !std::isfinite(before) && !std::isfinite(after);
+  if (alone) return 1.0;
+  // Plants of a row keep apart; where they leave room, one more was sown.
+  const auto room = [&](double distance) {
+    constexpr double kTooNear = 0.6;    // of the spacing
+    constexpr double kSoftness = 0.08;  // likewise
+    constexpr double kDouble = 0.05;    // share of plants with another beside them
+    const double apart = (distance / plant_spacing_ - kTooNear) / kSoftness;
+    return kDouble + (1.0 - kDouble) / (1.0 + std::exp(-apart));
+  };
+  constexpr double kSown = 4.0;
+  return kSown * room(before) * room(after);
 }
 
 }  // namespace field_phenotyping

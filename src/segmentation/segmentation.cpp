@@ -10,6 +10,7 @@
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/stem_foot.hpp"
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
 #include "field_phenotyping/segmentation/stem_verification.hpp"
@@ -137,6 +138,25 @@ std::vector<Stem> onlyStems(const StemSelection& selection, std::vector<Stem> gr
   return stems;
 }
 
+std::vector<StemAxis> axesOf(const std::vector<Stem>& stems) {
+  std::vector<StemAxis> axes;
+  for (const Stem& stem : stems) axes.push_back(stem.midline.axis);
+  return axes;
+}
+
+/// Carries the stems from `first` on whose foot is hidden down to the soil anew.
+void settleFeet(const GrowthScene& scene, const Block& block, const StandLean& lean,
+                const SegmentationParameters& parameters, std::size_t first,
+                std::vector<Stem>& stems) {
+  if (!(lean.scatter > 0.0F)) return;
+  for (std::size_t s = first; s < stems.size(); ++s) {
+    Midline midline = stems[s].midline;
+    midline.axis = settleFoot(block, scene.grid, midline, lean);
+    Stem settled = growStem(scene, std::move(midline), parameters);
+    if (!settled.points.empty()) stems[s] = std::move(settled);
+  }
+}
+
 /// Points so near to a stem that no other one can begin there.
 std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
                                           const std::vector<Stem>& stems) {
@@ -255,18 +275,25 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const GrowthScene scene{points, shapes, grid};
   const StemSelection selection(block, grid, parameters);
 
-  // Steps 1-3: start points, growth and pruning. What has grown shows which of them are stems.
+  // Steps 1-3: start points, growth and pruning. What has grown shows which of them are stems, and
+  // those how the stand stands.
   std::vector<Stem> stems;
   growCandidates(scene, findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright),
                  block.ground, parameters, stems);
+  const StandLean lean = leanOf(axesOf(onlyStems(selection, stems)));
+  settleFeet(scene, block, lean, parameters, 0U, stems);
   stems = onlyStems(selection, std::move(stems));
-  // Step 4: again, with other evidence, where nothing was found.
-  const std::size_t most = 8U + stems.size();  // few are missing where many were found
-  growCandidates(scene,
-                 findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kDensity,
-                               explainedPoints(scene, stems), most),
-                 block.ground, parameters, stems);
-  stems = onlyStems(selection, std::move(stems));
+  // Step 4: again where nothing was found, knowing the stand, then with other evidence.
+  for (const SeedEvidence evidence : {SeedEvidence::kUpright, SeedEvidence::kDensity}) {
+    const std::size_t known = stems.size();
+    const std::size_t most = 8U + known;  // few are missing where many were found
+    growCandidates(scene,
+                   findStemSeeds(block, grid, shapes, parameters, evidence, lean,
+                                 explainedPoints(scene, stems), most),
+                   block.ground, parameters, stems);
+    settleFeet(scene, block, lean, parameters, known, stems);
+    stems = onlyStems(selection, std::move(stems));
+  }
   std::sort(stems.begin(), stems.end(), [](const Stem& a, const Stem& b) {
     const Eigen::Vector3f low_a = a.midline.axis.nodes().front().position;
     const Eigen::Vector3f low_b = b.midline.axis.nodes().front().position;
@@ -275,9 +302,8 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
 
   // Every other organ to its plant.
   const std::vector<std::int32_t> stem_owner = resolveOwners(scene, stems);
-  std::vector<StemAxis> axes;
-  for (const Stem& stem : stems) axes.push_back(stem.midline.axis);
-  const std::vector<std::int32_t> plant_owner = assignOrgans(block, axes, stem_owner, parameters);
+  const std::vector<std::int32_t> plant_owner =
+      assignOrgans(block, axesOf(stems), stem_owner, parameters);
   return assemble(block, stems, stem_owner, plant_owner);
 }
 

@@ -8,9 +8,16 @@
 #include <utility>
 
 #include "field_phenotyping/segmentation/row_model.hpp"
+#include "field_phenotyping/segmentation/stem_sight.hpp"
 
 namespace field_phenotyping {
 namespace {
+
+float medianOf(std::vector<float> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
 
 std::pair<int, int> columnOf(const Eigen::Vector3f& point) {
   constexpr float kColumn = 0.25F;  // [m]
@@ -37,30 +44,11 @@ Visibility visibilityOf(const Block& block, const NeighborGrid& grid, const Cano
   const auto bands =
       std::max<std::size_t>(static_cast<std::size_t>(std::ceil(axis.length() / band_height)), 1U);
   std::vector<std::uint32_t> counts(bands, 0U);
-  std::vector<float> inside(bands, 0.0F);
-  std::vector<float> around(bands, 0.0F);
   const auto bandOf = [&](float s) {
     return std::min(static_cast<std::size_t>(std::max(s, 0.0F) / band_height), bands - 1U);
   };
   for (const std::uint32_t i : stem.points) {
     ++counts[bandOf(axis.project(block.cloud.points[i]).arc_length)];
-  }
-  for (std::size_t band = 0; band < bands; ++band) {
-    const float middle = (static_cast<float>(band) + 0.5F) * band_height;
-    const float skin = axis.radiusAt(middle) + 2.0F * stem.midline.spread;
-    const Eigen::Vector3f center = axis.pointAt(middle);
-    const Eigen::Vector3f direction = axis.directionAt(middle);
-    grid.forEachWithin(center, std::hypot(2.0F * skin, 0.5F * band_height),
-                       [&](std::uint32_t i, float squared) {
-                         const float along = direction.dot(block.cloud.points[i] - center);
-                         if (std::abs(along) > 0.5F * band_height) return;
-                         const float distance = std::sqrt(std::max(squared - along * along, 0.0F));
-                         if (distance < skin) {
-                           inside[band] += 1.0F;
-                         } else if (distance < 2.0F * skin) {
-                           around[band] += 1.0F;
-                         }
-                       });
   }
   constexpr std::uint32_t kLeastPoints = 2U;
   constexpr float kCrowded = 0.67F;  // twice what the areas of disc and ring would give
@@ -68,12 +56,13 @@ Visibility visibilityOf(const Block& block, const NeighborGrid& grid, const Cano
   constexpr float kLeastLight = 0.25F;  // of the bands, to judge a stem by
   float light = 0.0F;
   for (std::size_t band = 0; band < bands; ++band) {
-    const float lit =
-        canopy.lightAround(axis.pointAt((static_cast<float>(band) + 0.5F) * band_height));
+    const float middle = (static_cast<float>(band) + 0.5F) * band_height;
+    const BandSight sight = seeBand(block.cloud.points, grid, stem.midline, middle, band_height);
+    const float lit = canopy.lightAround(axis.pointAt(middle));
     light += lit;
     if (counts[band] >= kLeastPoints) visible.filled += lit;
-    if (inside[band] >= static_cast<float>(kLeastPoints) &&
-        inside[band] > kCrowded * around[band]) {
+    if (sight.inside >= static_cast<float>(kLeastPoints) &&
+        sight.inside > kCrowded * sight.around) {
       visible.clear += lit;
     }
   }
@@ -93,9 +82,7 @@ float bandHeight(const std::vector<StemCandidate>& candidates) {
     densities.push_back(static_cast<float>(stem.points.size()) / stem.midline.axis.length());
   }
   if (densities.empty()) return kShortest;
-  const auto middle = densities.begin() + static_cast<std::ptrdiff_t>(densities.size() / 2U);
-  std::nth_element(densities.begin(), middle, densities.end());
-  return std::clamp(kPoints / *middle, kShortest, kLongest);
+  return std::clamp(kPoints / medianOf(std::move(densities)), kShortest, kLongest);
 }
 
 Eigen::Vector3f baseOf(const Block& block, const StemCandidate& stem) {
@@ -144,18 +131,34 @@ std::vector<std::size_t> withoutCrowding(const std::vector<std::size_t>& stems,
     }
     spacings.push_back(nearest);
   }
-  const auto middle = spacings.begin() + static_cast<std::ptrdiff_t>(spacings.size() / 2U);
-  std::nth_element(spacings.begin(), middle, spacings.end());
+  const float typical = medianOf(std::move(spacings));
   constexpr float kCrowded = 0.5F;  // of the median spacing
   constexpr float kAsGood = 0.6F;   // as the better one
   std::vector<std::size_t> kept;
   for (const std::size_t c : stems) {
     const bool crowds = std::any_of(kept.begin(), kept.end(), [&](std::size_t better) {
-      return apart(c, better) < kCrowded * *middle && merits[c] < kAsGood * merits[better];
+      return apart(c, better) < kCrowded * typical && merits[c] < kAsGood * merits[better];
     });
     if (!crowds) kept.push_back(c);
   }
   return kept;
+}
+
+Eigen::Vector2f slopeOf(const StemAxis& axis) {
+  const Eigen::Vector3f chord = axis.nodes().back().position - axis.nodes().front().position;
+  return chord.head<2>() / chord.z();
+}
+
+/// Stems of one stand lean about as little as one another; steps from the foot of one to the top of
+/// the next lean more.
+float leanFit(const StemCandidate& stem, const StandLean& stand) {
+  constexpr float kUsual = 4.0F;        // squared deviation that most stay within
+  constexpr float kTail = 0.3F;         // per squared deviation beyond
+  constexpr float kAxisError = 0.015F;  // [m] of either end
+  const float off =
+      stand.deviation(slopeOf(stem.midline.axis), kAxisError / stem.midline.axis.length());
+  constexpr float kLodged = 0.4F;  // no stem is ruled out by its lean alone
+  return std::max(1.0F / (1.0F + kTail * std::max(off * off - kUsual, 0.0F)), kLodged);
 }
 
 float typicalRadius(const std::vector<StemCandidate>& candidates,
@@ -166,9 +169,7 @@ float typicalRadius(const std::vector<StemCandidate>& candidates,
     constexpr float kGood = 0.4F;
     if (merits[c] >= kGood * best) radii.push_back(candidates[c].midline.axis.radiusAt(0.0F));
   }
-  const auto middle = radii.begin() + static_cast<std::ptrdiff_t>(radii.size() / 2U);
-  std::nth_element(radii.begin(), middle, radii.end());
-  return *middle;
+  return medianOf(std::move(radii));
 }
 
 /// The best candidates that share neither points nor a place, best first, of those that `worthy`
@@ -252,6 +253,28 @@ float Canopy::lightAround(const Eigen::Vector3f& point) const {
   return std::min(static_cast<float>(counts[layer]) / (kLit * most), 1.0F);
 }
 
+StandLean leanOf(const std::vector<StemAxis>& stems) {
+  constexpr std::size_t kLeastStems = 6U;
+  constexpr float kLeastScatter = 0.03F;  // of the slope
+  constexpr float kNormal = 1.4826F;      // standard deviation of a median absolute deviation
+  StandLean lean;
+  if (stems.size() < kLeastStems) return lean;
+  std::vector<float> x;
+  std::vector<float> y;
+  for (const StemAxis& axis : stems) {
+    x.push_back(slopeOf(axis).x());
+    y.push_back(slopeOf(axis).y());
+  }
+  lean.slope = {medianOf(x), medianOf(y)};
+  std::vector<float> off;
+  for (const StemAxis& axis : stems) {
+    off.push_back(std::abs(slopeOf(axis).x() - lean.slope.x()));
+    off.push_back(std::abs(slopeOf(axis).y() - lean.slope.y()));
+  }
+  lean.scatter = std::max(kNormal * medianOf(std::move(off)), kLeastScatter);
+  return lean;
+}
+
 StemSelection::StemSelection(const Block& block, const NeighborGrid& grid,
                              const SegmentationParameters& parameters)
     : block_(block), grid_(grid), parameters_(parameters), canopy_(block) {}
@@ -303,10 +326,14 @@ std::vector<std::size_t> StemSelection::stemsAmong(
   }
   const std::optional<RowModel> rows =
       RowModel::find(places, {parameters_.row_spacing, parameters_.plant_spacing});
+  std::vector<StemAxis> axes;
+  for (const std::size_t c : stems) axes.push_back(candidates[c].midline.axis);
+  const StandLean lean = leanOf(axes);
   if (rows) {
     std::vector<float> likely = merits;
     for (std::size_t c = 0; c < candidates.size(); ++c) {
-      likely[c] *= priorOf(rows->rowOdds(bases[c].head<2>().cast<double>()));
+      likely[c] *=
+          priorOf(rows->rowOdds(bases[c].head<2>().cast<double>())) * leanFit(candidates[c], lean);
     }
     stems = distinctStems(
         candidates, bases, likely, block_.cloud.size(), least_distance,
@@ -314,8 +341,9 @@ std::vector<std::size_t> StemSelection::stemsAmong(
           std::vector<Eigen::Vector2d> others;
           for (const std::size_t k : kept) others.push_back(bases[k].head<2>().cast<double>());
           const double odds = rows->spacingOdds(bases[c].head<2>().cast<double>(), others);
-          return merits[c] >= kLeastMerit && likely[c] * priorOf(odds) >= kLeastShare * usual;
+          return likely[c] * priorOf(odds) >= std::max(kLeastMerit, kLeastShare * usual);
         });
+    stems = withoutCrowding(stems, bases, likely);
   }
   std::sort(stems.begin(), stems.end());
   return stems;

@@ -9,6 +9,7 @@
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
+#include "field_phenotyping/segmentation/stem_seeds.hpp"
 
 namespace field_phenotyping {
 
@@ -41,6 +42,9 @@ struct StemCandidate {
   const std::vector<std::uint32_t>&
       points;  ///< that grew, ascending indices into the block's cloud
 };
+
+/// How the stems lean that axes describe; not known from a few.
+StandLean leanOf(const std::vector<StemAxis>& stems);
 
 /// Tells the stems of a block from leaves, weeds and plants found twice.
 ///
