@@ -108,6 +108,8 @@ struct SegmentationParameters {
   double seed_min_length = 0.10;
   double seed_min_score = 2.0;
   double min_plant_spacing = 0.06;
+  double row_spacing = 0.0;
+  double plant_spacing = 0.0;
   double max_stem_radius = 0.03;
   double max_lean = 35.0;
   double prune_factor = 2.2;
@@ -159,6 +161,12 @@ struct SegmentationParameters {
       p.seed_min_score, 0.1, 100.0);
     v(ParameterInfo{"min_plant_spacing", "m", "two stems are at least this far apart at the soil"},
       p.min_plant_spacing, 0.01, 2.0);
+    v(ParameterInfo{"row_spacing", "m",
+                    "between the rows that plants are expected in; 0: found from the plants"},
+      p.row_spacing, 0.0, 5.0);
+    v(ParameterInfo{"plant_spacing", "m",
+                    "along a row that plants are expected at; 0: found from the plants"},
+      p.plant_spacing, 0.0, 5.0);
     v(ParameterInfo{"max_stem_radius", "m", "thickest stem radius that is looked for"},
       p.max_stem_radius, 0.005, 0.5);
     v(ParameterInfo{"max_lean", "deg", "steepest lean of a stem from vertical"}, p.max_lean, 5.0,

@@ -5,6 +5,7 @@
 #include <iterator>
 #include <utility>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
@@ -12,6 +13,7 @@
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/stem_foot.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
@@ -66,16 +68,52 @@ std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vecto
   return grown;
 }
 
-std::vector<GrownStem> onlyStems(const Block& block, const NeighborGrid& grid,
-                                 std::vector<GrownStem> grown,
-                                 const SegmentationParameters& parameters) {
+std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<GrownStem> grown) {
   std::vector<StemCandidate> candidates;
   for (const GrownStem& stem : grown) candidates.push_back({stem.midline, stem.points});
   std::vector<GrownStem> stems;
-  for (const std::size_t k : selectStems(block, grid, candidates, parameters)) {
+  for (const std::size_t k : selection.stemsAmong(candidates)) {
     stems.push_back(std::move(grown[k]));
   }
   return stems;
+}
+
+std::vector<StemAxis> axesOf(const std::vector<GrownStem>& stems) {
+  std::vector<StemAxis> axes;
+  for (const GrownStem& stem : stems) axes.push_back(stem.midline.axis);
+  return axes;
+}
+
+/// Carries candidates whose foot is hidden down to the soil anew.
+void settleFeet(const GrowthScene& scene, const Block& block, const StandLean& lean,
+                const SegmentationParameters& parameters, std::vector<GrownStem>& candidates) {
+  if (!(lean.scatter > 0.0F)) return;
+  parallelFor(candidates.size(), [&](std::size_t c) {
+    Midline midline = candidates[c].midline;
+    midline.axis = settleFoot(block, scene.grid, midline, lean);
+    GrownStem settled = growCandidate(scene, std::move(midline), parameters);
+    if (!settled.points.empty()) candidates[c] = std::move(settled);
+  });
+}
+
+/// Longest gap that regions of one stem may merge across [m]: twice the plants' usual spacing, for
+/// what lies farther up may well be a neighbour's.
+float longestGap(const std::vector<GrownStem>& stems) {
+  constexpr float kMost = 0.40F;
+  constexpr float kSpacings = 2.0F;
+  std::vector<float> spacings;
+  for (const GrownStem& stem : stems) {
+    float nearest = kMost;
+    for (const GrownStem& other : stems) {
+      if (&stem == &other) continue;
+      nearest = std::min(nearest, (stem.midline.axis.nodes().front().position -
+                                   other.midline.axis.nodes().front().position)
+                                      .head<2>()
+                                      .norm());
+    }
+    spacings.push_back(nearest);
+  }
+  return spacings.empty() ? kMost : std::min(kMost, kSpacings * medianOf(spacings));
 }
 
 /// Points so near to a stem that no other one can begin there.
@@ -177,9 +215,7 @@ SegmentationParameters adaptToDensity(const std::vector<Eigen::Vector3f>& points
     grid.forEachWithin(points[i], radius, [&](std::uint32_t, float) { ++count; });
     counts.push_back(count);
   }
-  const auto middle = counts.begin() + static_cast<std::ptrdiff_t>(counts.size() / 2U);
-  std::nth_element(counts.begin(), middle, counts.end());
-  if (*middle >= kEnoughNeighbors) return parameters;
+  if (medianOf(counts) >= kEnoughNeighbors) return parameters;
   parameters.seed_radius *= kWiden;
   parameters.seed_slab *= kWiden;
   return parameters;
@@ -195,21 +231,28 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const NeighborGrid grid(points, 0.5F * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);
   const GrowthScene scene{points, shapes, grid};
+  const StemSelection selection(block, grid, parameters);
 
-  // Step 1: start points. What grows from them shows which are stems'.
+  // Step 1: start points. What grows from them shows which are stems', and those how the stand
+  // stands.
   std::vector<GrownStem> stems =
       growCandidates(scene, findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright),
                      block.ground, parameters);
-  stems = onlyStems(block, grid, std::move(stems), parameters);
-  // Again, with other evidence, where nothing was found.
-  const std::size_t most = 8U + stems.size();  // few are missing where many were found
-  std::vector<GrownStem> more =
-      growCandidates(scene,
-                     findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kDensity,
-                                   explainedPoints(scene, stems), most),
-                     block.ground, parameters);
-  std::move(more.begin(), more.end(), std::back_inserter(stems));
-  stems = onlyStems(block, grid, std::move(stems), parameters);
+  const StandLean lean = leanOf(axesOf(onlyStems(selection, stems)));
+  settleFeet(scene, block, lean, parameters, stems);
+  stems = onlyStems(selection, std::move(stems));
+  // Again where nothing was found, knowing the stand, then with other evidence.
+  for (const SeedEvidence evidence : {SeedEvidence::kUpright, SeedEvidence::kDensity}) {
+    const std::size_t most = 8U + stems.size();  // few are missing where many were found
+    std::vector<GrownStem> more =
+        growCandidates(scene,
+                       findStemSeeds(block, grid, shapes, parameters, evidence, lean,
+                                     explainedPoints(scene, stems), most),
+                       block.ground, parameters);
+    settleFeet(scene, block, lean, parameters, more);
+    std::move(more.begin(), more.end(), std::back_inserter(stems));
+    stems = onlyStems(selection, std::move(stems));
+  }
   std::sort(stems.begin(), stems.end(), [](const GrownStem& a, const GrownStem& b) {
     const Eigen::Vector3f low_a = a.midline.axis.nodes().front().position;
     const Eigen::Vector3f low_b = b.midline.axis.nodes().front().position;
@@ -217,16 +260,15 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   });
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
-  constexpr float kMaxGap = 0.40F;  // [m]
+  const float max_gap = longestGap(stems);
   parallelFor(stems.size(), [&](std::size_t s) {
-    stems[s] = growStem(scene, stems[s].midline, kMaxGap, parameters);
+    stems[s] = growStem(scene, stems[s].midline, max_gap, parameters);
   });
 
   // Every other organ to its plant.
   const std::vector<std::int32_t> stem_owner = resolveOwners(scene, stems);
-  std::vector<StemAxis> axes;
-  for (const GrownStem& stem : stems) axes.push_back(stem.midline.axis);
-  const std::vector<std::int32_t> plant_owner = assignOrgans(block, axes, stem_owner, parameters);
+  const std::vector<std::int32_t> plant_owner =
+      assignOrgans(block, axesOf(stems), stem_owner, parameters);
   return assemble(block, stems, stem_owner, plant_owner);
 }
 

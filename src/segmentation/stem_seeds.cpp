@@ -176,7 +176,7 @@ struct Link {
 /// For every cluster those below that it may continue.
 std::vector<std::vector<Link>> linkClusters(const std::vector<Cluster>& clusters,
                                             const NeighborGrid& grid, float slab_height,
-                                            float max_lean) {
+                                            float max_lean, const StandLean& stand) {
   const float reach = std::hypot(kMaxGap, kMaxGap * std::tan(max_lean) + 0.03F);
   std::vector<std::vector<Link>> links(clusters.size());
   for (std::size_t high = 0; high < clusters.size(); ++high) {
@@ -187,7 +187,13 @@ std::vector<std::vector<Link>> linkClusters(const std::vector<Cluster>& clusters
       if (static_cast<float>(skipped) * slab_height > kMaxGap) return;
       const float bend = misalignment(clusters[low], clusters[high]);
       if (bend > 1.0F) return;
-      links[high].push_back({low, kGapCost * static_cast<float>(skipped) + 0.5F * bend * bend});
+      const Eigen::Vector3f step = center - clusters[low].center;
+      constexpr float kCenterError = 0.012F;  // [m]
+      constexpr float kUsual = 4.0F;          // squared deviation that most stay within
+      const float leaning = stand.deviation(step.head<2>() / step.z(), kCenterError / step.z());
+      const float excess = std::max(leaning * leaning - kUsual, 0.0F);
+      links[high].push_back(
+          {low, kGapCost * static_cast<float>(skipped) + 0.5F * bend * bend + 0.5F * excess});
     });
   }
   return links;
@@ -262,7 +268,7 @@ void drawToCurve(std::vector<Eigen::Vector3f>& seeds) {
 std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& block_grid,
                                      const std::vector<LocalShape>& shapes,
                                      const SegmentationParameters& parameters,
-                                     SeedEvidence evidence,
+                                     SeedEvidence evidence, const StandLean& lean,
                                      const std::vector<std::uint8_t>& explained, std::size_t most) {
   // 1. Upright clusters in every slab over the local soil.
   const auto max_stem_radius = static_cast<float>(parameters.max_stem_radius);
@@ -280,7 +286,7 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& blo
 
   // 2. The best chain of clusters, again and again, until what is left is too short or too weak.
   const auto links = linkClusters(clusters, grid, static_cast<float>(parameters.seed_slab),
-                                  static_cast<float>(parameters.max_lean * M_PI / 180.0));
+                                  static_cast<float>(parameters.max_lean * M_PI / 180.0), lean);
   std::vector<StemSeeds> stems;
   while (stems.size() < most) {
     const Chain chain = bestChain(clusters, links);
@@ -305,11 +311,6 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& blo
     drawToCurve(stem.points);
     stems.push_back(std::move(stem));
   }
-  std::sort(stems.begin(), stems.end(), [](const StemSeeds& a, const StemSeeds& b) {
-    return a.points.front().x() != b.points.front().x()
-               ? a.points.front().x() < b.points.front().x()
-               : a.points.front().y() < b.points.front().y();
-  });
   return stems;
 }
 

@@ -3,94 +3,72 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <map>
 #include <numeric>
+#include <optional>
 #include <utility>
+
+#include "field_phenotyping/segmentation/row_model.hpp"
+#include "field_phenotyping/segmentation/stem_sight.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-/// Height of the canopy round every place: the highest points of coarse cells and their neighbours.
-class CanopyHeight {
- public:
-  explicit CanopyHeight(const Block& block) {
-    for (const Eigen::Vector3f& point : block.cloud.points) {
-      float& height = heights_[cellOf(point)];
-      height = std::max(height, block.ground.heightAbove(point));
-    }
-  }
+float medianOf(std::vector<float> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
 
-  float around(const Eigen::Vector3f& point) const {
-    const auto [x, y] = cellOf(point);
-    float height = 0.0F;
-    for (int dy = -1; dy <= 1; ++dy) {
-      for (int dx = -1; dx <= 1; ++dx) {
-        const auto cell = heights_.find({x + dx, y + dy});
-        if (cell != heights_.end()) height = std::max(height, cell->second);
-      }
-    }
-    return height;
-  }
+std::pair<int, int> columnOf(const Eigen::Vector3f& point) {
+  constexpr float kColumn = 0.25F;  // [m]
+  return {static_cast<int>(std::floor(point.x() / kColumn)),
+          static_cast<int>(std::floor(point.y() / kColumn))};
+}
 
- private:
-  static std::pair<int, int> cellOf(const Eigen::Vector3f& point) {
-    constexpr float kCell = 0.25F;
-    return {static_cast<int>(std::floor(point.x() / kCell)),
-            static_cast<int>(std::floor(point.y() / kCell))};
-  }
+/// Layer of a column that a height above the soil falls in.
+std::size_t layerOf(float height) {
+  constexpr float kLayer = 0.10F;  // [m]
+  constexpr float kMostLayers = 1000.0F;
+  return static_cast<std::size_t>(std::clamp(height / kLayer, 0.0F, kMostLayers));
+}
 
-  std::map<std::pair<int, int>, float> heights_;
-};
-
-/// How much of a stem's length, from the soil up, shows it.
+/// How much of a stem's length, from the soil up, shows it where the canopy lets it be seen.
 struct Visibility {
   float filled = 0.0F;  ///< share of the bands with points of the stem
   float clear = 0.0F;   ///< share where points crowd in its skin rather than all round
 };
 
-Visibility visibilityOf(const Block& block, const NeighborGrid& grid, const StemCandidate& stem,
-                        float band_height) {
+Visibility visibilityOf(const Block& block, const NeighborGrid& grid, const Canopy& canopy,
+                        const StemCandidate& stem, float band_height) {
   const StemAxis& axis = stem.midline.axis;
   const auto bands =
       std::max<std::size_t>(static_cast<std::size_t>(std::ceil(axis.length() / band_height)), 1U);
   std::vector<std::uint32_t> counts(bands, 0U);
-  std::vector<float> inside(bands, 0.0F);
-  std::vector<float> around(bands, 0.0F);
   const auto bandOf = [&](float s) {
     return std::min(static_cast<std::size_t>(std::max(s, 0.0F) / band_height), bands - 1U);
   };
   for (const std::uint32_t i : stem.points) {
     ++counts[bandOf(axis.project(block.cloud.points[i]).arc_length)];
   }
-  for (std::size_t band = 0; band < bands; ++band) {
-    const float middle = (static_cast<float>(band) + 0.5F) * band_height;
-    const float skin = axis.radiusAt(middle) + 2.0F * stem.midline.spread;
-    const Eigen::Vector3f center = axis.pointAt(middle);
-    const Eigen::Vector3f direction = axis.directionAt(middle);
-    grid.forEachWithin(center, std::hypot(2.0F * skin, 0.5F * band_height),
-                       [&](std::uint32_t i, float squared) {
-                         const float along = direction.dot(block.cloud.points[i] - center);
-                         if (std::abs(along) > 0.5F * band_height) return;
-                         const float distance = std::sqrt(std::max(squared - along * along, 0.0F));
-                         if (distance < skin) {
-                           inside[band] += 1.0F;
-                         } else if (distance < 2.0F * skin) {
-                           around[band] += 1.0F;
-                         }
-                       });
-  }
   constexpr std::uint32_t kLeastPoints = 2U;
   constexpr float kCrowded = 0.67F;  // twice what the areas of disc and ring would give
   Visibility visible;
+  constexpr float kLeastLight = 0.25F;  // of the bands, to judge a stem by
+  float light = 0.0F;
   for (std::size_t band = 0; band < bands; ++band) {
-    if (counts[band] >= kLeastPoints) visible.filled += 1.0F;
-    if (inside[band] >= static_cast<float>(kLeastPoints) &&
-        inside[band] > kCrowded * around[band]) {
-      visible.clear += 1.0F;
+    const float middle = (static_cast<float>(band) + 0.5F) * band_height;
+    const BandSight sight = seeBand(block.cloud.points, grid, stem.midline, middle, band_height);
+    const float lit = canopy.lightAround(axis.pointAt(middle));
+    light += lit;
+    if (counts[band] >= kLeastPoints) visible.filled += lit;
+    if (sight.inside >= static_cast<float>(kLeastPoints) &&
+        sight.inside > kCrowded * sight.around) {
+      visible.clear += lit;
     }
   }
-  visible.filled /= static_cast<float>(bands);
-  visible.clear /= static_cast<float>(bands);
+  light = std::max(light, kLeastLight * static_cast<float>(bands));
+  visible.filled /= light;
+  visible.clear /= light;
   return visible;
 }
 
@@ -104,9 +82,7 @@ float bandHeight(const std::vector<StemCandidate>& candidates) {
     densities.push_back(static_cast<float>(stem.points.size()) / stem.midline.axis.length());
   }
   if (densities.empty()) return kShortest;
-  const auto middle = densities.begin() + static_cast<std::ptrdiff_t>(densities.size() / 2U);
-  std::nth_element(densities.begin(), middle, densities.end());
-  return std::clamp(kPoints / *middle, kShortest, kLongest);
+  return std::clamp(kPoints / medianOf(std::move(densities)), kShortest, kLongest);
 }
 
 Eigen::Vector3f baseOf(const Block& block, const StemCandidate& stem) {
@@ -115,9 +91,9 @@ Eigen::Vector3f baseOf(const Block& block, const StemCandidate& stem) {
 }
 
 /// How much more a candidate is like a stem than like leaves and noise.
-float meritOf(const Block& block, const NeighborGrid& grid, const StemCandidate& stem,
-              float canopy_height, float band_height) {
-  const Visibility visible = visibilityOf(block, grid, stem, band_height);
+float meritOf(const Block& block, const NeighborGrid& grid, const Canopy& canopy,
+              const StemCandidate& stem, float canopy_height, float band_height) {
+  const Visibility visible = visibilityOf(block, grid, canopy, stem, band_height);
   const std::vector<StemAxis::Node>& nodes = stem.midline.axis.nodes();
   const float upright = (nodes.back().position - nodes.front().position).normalized().z();
   constexpr float kShortest = 0.1F;  // of the canopy's height: no stem
@@ -155,18 +131,34 @@ std::vector<std::size_t> withoutCrowding(const std::vector<std::size_t>& stems,
     }
     spacings.push_back(nearest);
   }
-  const auto middle = spacings.begin() + static_cast<std::ptrdiff_t>(spacings.size() / 2U);
-  std::nth_element(spacings.begin(), middle, spacings.end());
+  const float typical = medianOf(std::move(spacings));
   constexpr float kCrowded = 0.5F;  // of the median spacing
   constexpr float kAsGood = 0.6F;   // as the better one
   std::vector<std::size_t> kept;
   for (const std::size_t c : stems) {
     const bool crowds = std::any_of(kept.begin(), kept.end(), [&](std::size_t better) {
-      return apart(c, better) < kCrowded * *middle && merits[c] < kAsGood * merits[better];
+      return apart(c, better) < kCrowded * typical && merits[c] < kAsGood * merits[better];
     });
     if (!crowds) kept.push_back(c);
   }
   return kept;
+}
+
+Eigen::Vector2f slopeOf(const StemAxis& axis) {
+  const Eigen::Vector3f chord = axis.nodes().back().position - axis.nodes().front().position;
+  return chord.head<2>() / chord.z();
+}
+
+/// Stems of one stand lean about as little as one another; steps from the foot of one to the top of
+/// the next lean more.
+float leanFit(const StemCandidate& stem, const StandLean& stand) {
+  constexpr float kUsual = 4.0F;        // squared deviation that most stay within
+  constexpr float kTail = 0.3F;         // per squared deviation beyond
+  constexpr float kAxisError = 0.015F;  // [m] of either end
+  const float off =
+      stand.deviation(slopeOf(stem.midline.axis), kAxisError / stem.midline.axis.length());
+  constexpr float kLodged = 0.4F;  // no stem is ruled out by its lean alone
+  return std::max(1.0F / (1.0F + kTail * std::max(off * off - kUsual, 0.0F)), kLodged);
 }
 
 float typicalRadius(const std::vector<StemCandidate>& candidates,
@@ -177,56 +169,139 @@ float typicalRadius(const std::vector<StemCandidate>& candidates,
     constexpr float kGood = 0.4F;
     if (merits[c] >= kGood * best) radii.push_back(candidates[c].midline.axis.radiusAt(0.0F));
   }
-  const auto middle = radii.begin() + static_cast<std::ptrdiff_t>(radii.size() / 2U);
-  std::nth_element(radii.begin(), middle, radii.end());
-  return *middle;
+  return medianOf(std::move(radii));
 }
 
-}  // namespace
-
-std::vector<std::size_t> selectStems(const Block& block, const NeighborGrid& grid,
-                                     const std::vector<StemCandidate>& candidates,
-                                     const SegmentationParameters& parameters) {
-  if (candidates.empty()) return {};
-  const CanopyHeight canopy(block);
-  const float band_height = bandHeight(candidates);
-  std::vector<float> merits;
-  std::vector<Eigen::Vector3f> bases;
-  for (const StemCandidate& stem : candidates) {
-    bases.push_back(baseOf(block, stem));
-    constexpr float kLowestCanopy = 0.1F;  // [m]
-    const float height = std::max(canopy.around(bases.back()), kLowestCanopy);
-    merits.push_back(meritOf(block, grid, stem, height, band_height));
-  }
-  const float typical = typicalRadius(candidates, merits);
-  for (std::size_t c = 0; c < candidates.size(); ++c) {
-    merits[c] *= thicknessFit(candidates[c], typical);
-  }
+/// The best candidates that share neither points nor a place, best first, of those that `worthy`
+/// lets pass beside what is kept already.
+template <class Worthy>
+std::vector<std::size_t> distinctStems(const std::vector<StemCandidate>& candidates,
+                                       const std::vector<Eigen::Vector3f>& bases,
+                                       const std::vector<float>& merits, std::size_t points_in_all,
+                                       float least_distance, Worthy&& worthy) {
   std::vector<std::size_t> order(candidates.size());
   std::iota(order.begin(), order.end(), 0U);
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
     return merits[a] != merits[b] ? merits[a] > merits[b] : a < b;
   });
-
-  // Of several candidates for one stem the best.
-  std::vector<std::size_t> distinct;
-  std::vector<std::uint8_t> taken(block.cloud.size(), 0U);
+  std::vector<std::size_t> kept;
+  std::vector<std::uint8_t> taken(points_in_all, 0U);
   for (const std::size_t c : order) {
     const std::vector<std::uint32_t>& points = candidates[c].points;
-    constexpr float kLeastMerit = 3.0F;
-    if (merits[c] < kLeastMerit) break;
-    const bool too_near = std::any_of(distinct.begin(), distinct.end(), [&](std::size_t other) {
-      return (bases[c] - bases[other]).head<2>().norm() <
-             static_cast<float>(parameters.min_plant_spacing);
+    const bool too_near = std::any_of(kept.begin(), kept.end(), [&](std::size_t other) {
+      return (bases[c] - bases[other]).head<2>().norm() < least_distance;
     });
-    if (too_near) continue;
+    if (too_near || !worthy(c, kept)) continue;
     const auto shared = static_cast<std::size_t>(std::count_if(
         points.begin(), points.end(), [&](std::uint32_t i) { return taken[i] != 0U; }));
     constexpr std::size_t kMostShared = 3U;  // one in three
     if (shared * kMostShared > points.size()) continue;
     for (const std::uint32_t i : points) taken[i] = 1U;
-    distinct.push_back(c);
+    kept.push_back(c);
   }
+  return kept;
+}
+
+/// Factor on the merit that the odds of a place are worth: merit is no probability, and a place
+/// alone makes no stem.
+float priorOf(double odds) {
+  constexpr double kPower = 0.25;
+  constexpr double kMost = 2.0;
+  return static_cast<float>(std::clamp(std::pow(odds, kPower), 1.0 / kMost, kMost));
+}
+
+}  // namespace
+
+Canopy::Canopy(const Block& block) : ground_(block.ground) {
+  for (const Eigen::Vector3f& point : block.cloud.points) {
+    const float height = ground_.heightAbove(point);
+    Column& column = columns_[columnOf(point)];
+    column.height = std::max(column.height, height);
+    const std::size_t layer = layerOf(height);
+    if (layer >= column.counts.size()) column.counts.resize(layer + 1U, 0U);
+    ++column.counts[layer];
+  }
+}
+
+template <class Visit>
+void Canopy::forEachAround(const Eigen::Vector3f& point, Visit&& visit) const {
+  const auto [x, y] = columnOf(point);
+  for (int dy = -1; dy <= 1; ++dy) {
+    for (int dx = -1; dx <= 1; ++dx) {
+      const auto column = columns_.find({x + dx, y + dy});
+      if (column != columns_.end()) visit(column->second);
+    }
+  }
+}
+
+float Canopy::heightAround(const Eigen::Vector3f& point) const {
+  float height = 0.0F;
+  forEachAround(point, [&](const Column& column) { height = std::max(height, column.height); });
+  return height;
+}
+
+float Canopy::lightAround(const Eigen::Vector3f& point) const {
+  std::vector<std::uint32_t> counts;
+  forEachAround(point, [&](const Column& column) {
+    if (column.counts.size() > counts.size()) counts.resize(column.counts.size(), 0U);
+    for (std::size_t k = 0; k < column.counts.size(); ++k) counts[k] += column.counts[k];
+  });
+  const std::size_t layer = layerOf(ground_.heightAbove(point));
+  if (layer >= counts.size()) return 1.0F;
+  constexpr float kLit = 0.03F;  // of the fullest layer: bare stems give no more
+  const auto most = static_cast<float>(*std::max_element(counts.begin(), counts.end()));
+  return std::min(static_cast<float>(counts[layer]) / (kLit * most), 1.0F);
+}
+
+StandLean leanOf(const std::vector<StemAxis>& stems) {
+  constexpr std::size_t kLeastStems = 6U;
+  constexpr float kLeastScatter = 0.03F;  // of the slope
+  constexpr float kNormal = 1.4826F;      // standard deviation of a median absolute deviation
+  StandLean lean;
+  if (stems.size() < kLeastStems) return lean;
+  std::vector<float> x;
+  std::vector<float> y;
+  for (const StemAxis& axis : stems) {
+    x.push_back(slopeOf(axis).x());
+    y.push_back(slopeOf(axis).y());
+  }
+  lean.slope = {medianOf(x), medianOf(y)};
+  std::vector<float> off;
+  for (const StemAxis& axis : stems) {
+    off.push_back(std::abs(slopeOf(axis).x() - lean.slope.x()));
+    off.push_back(std::abs(slopeOf(axis).y() - lean.slope.y()));
+  }
+  lean.scatter = std::max(kNormal * medianOf(std::move(off)), kLeastScatter);
+  return lean;
+}
+
+StemSelection::StemSelection(const Block& block, const NeighborGrid& grid,
+                             const SegmentationParameters& parameters)
+    : block_(block), grid_(grid), parameters_(parameters), canopy_(block) {}
+
+std::vector<std::size_t> StemSelection::stemsAmong(
+    const std::vector<StemCandidate>& candidates) const {
+  if (candidates.empty()) return {};
+  const float band_height = bandHeight(candidates);
+  std::vector<float> merits;
+  std::vector<Eigen::Vector3f> bases;
+  for (const StemCandidate& stem : candidates) {
+    bases.push_back(baseOf(block_, stem));
+    constexpr float kLowestCanopy = 0.1F;  // [m]
+    const float height =
+        std::max({canopy_.heightAround(bases.back()),
+                  canopy_.heightAround(stem.midline.axis.nodes().back().position), kLowestCanopy});
+    merits.push_back(meritOf(block_, grid_, canopy_, stem, height, band_height));
+  }
+  const float typical = typicalRadius(candidates, merits);
+  for (std::size_t c = 0; c < candidates.size(); ++c) {
+    merits[c] *= thicknessFit(candidates[c], typical);
+  }
+  const float least_distance = static_cast<float>(parameters_.min_plant_spacing);
+  constexpr float kLeastMerit = 3.0F;
+  const std::vector<std::size_t> distinct =
+      distinctStems(candidates, bases, merits, block_.cloud.size(), least_distance,
+                    [&](std::size_t c, const auto&) { return merits[c] >= kLeastMerit; });
   if (distinct.empty()) return {};
 
   // Measured against what good ones have.
@@ -242,6 +317,34 @@ std::vector<std::size_t> selectStems(const Block& block, const NeighborGrid& gri
     if (merits[c] >= kLeastShare * usual) stems.push_back(c);
   }
   stems = withoutCrowding(stems, bases, merits);
+
+  // Those show the rows, which say where a stem needs less merit, and where it needs more.
+  std::vector<PlantPlace> places;
+  for (const std::size_t c : stems) {
+    places.push_back(
+        {bases[c].head<2>().cast<double>(), std::min(static_cast<double>(merits[c] / usual), 1.0)});
+  }
+  const std::optional<RowModel> rows =
+      RowModel::find(places, {parameters_.row_spacing, parameters_.plant_spacing});
+  std::vector<StemAxis> axes;
+  for (const std::size_t c : stems) axes.push_back(candidates[c].midline.axis);
+  const StandLean lean = leanOf(axes);
+  if (rows) {
+    std::vector<float> likely = merits;
+    for (std::size_t c = 0; c < candidates.size(); ++c) {
+      likely[c] *=
+          priorOf(rows->rowOdds(bases[c].head<2>().cast<double>())) * leanFit(candidates[c], lean);
+    }
+    stems = distinctStems(
+        candidates, bases, likely, block_.cloud.size(), least_distance,
+        [&](std::size_t c, const std::vector<std::size_t>& kept) {
+          std::vector<Eigen::Vector2d> others;
+          for (const std::size_t k : kept) others.push_back(bases[k].head<2>().cast<double>());
+          const double odds = rows->spacingOdds(bases[c].head<2>().cast<double>(), others);
+          return likely[c] * priorOf(odds) >= std::max(kLeastMerit, kLeastShare * usual);
+        });
+    stems = withoutCrowding(stems, bases, likely);
+  }
   std::sort(stems.begin(), stems.end());
   return stems;
 }

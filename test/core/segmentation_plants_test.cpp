@@ -8,6 +8,7 @@
 #include <limits>
 #include <numeric>
 #include <random>
+#include <set>
 
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
@@ -378,12 +379,19 @@ TEST(StemSeeds, RiseAlongTheStem) {
   const auto shapes = computeLocalShapes(block.cloud.points, grid, radius);
   const auto seeds = findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright);
   ASSERT_EQ(seeds.size(), scene.plants.size());
-  float x = -10.0F;
+  float score = std::numeric_limits<float>::max();
+  std::set<double> seeded;
   for (const StemSeeds& stem : seeds) {
     ASSERT_GE(stem.points.size(), 2U);
     EXPECT_GT(stem.score, 0.0F);
-    EXPECT_GT(stem.points.front().x(), x) << "ordered by x";
-    x = stem.points.front().x();
+    EXPECT_LE(stem.score, score) << "best-supported first";
+    score = stem.score;
+    const PlantTruth& nearest_plant = *std::min_element(
+        scene.plants.begin(), scene.plants.end(), [&](const PlantTruth& a, const PlantTruth& b) {
+          const Eigen::Vector2d at = stem.points.front().head<2>().cast<double>();
+          return (at - a.base).norm() < (at - b.base).norm();
+        });
+    EXPECT_TRUE(seeded.insert(nearest_plant.base.x()).second) << "one per stem";
     for (std::size_t k = 0; k < stem.points.size(); ++k) {
       double nearest = 1.0;
       for (const PlantTruth& plant : scene.plants) {

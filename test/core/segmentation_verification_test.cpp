@@ -69,7 +69,7 @@ class Stand : public ::testing::Test {
       candidates.push_back({candidate.midline, candidate.points});
     }
     const NeighborGrid grid(block_.cloud.points, 0.02F);
-    return selectStems(block_, grid, candidates, parameters);
+    return StemSelection(block_, grid, parameters).stemsAmong(candidates);
   }
 
   Scene scene_{testing::levelSoil(), 1U};

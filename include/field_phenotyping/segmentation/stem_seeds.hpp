@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cmath>
 #include <vector>
 
 #include "field_phenotyping/parameters.hpp"
@@ -22,18 +23,31 @@ enum class SeedEvidence {
   kDensity,  ///< that it is there: for stems too sparse or too hidden to show a shape
 };
 
+/// How the stems of a stand lean: as horizontal shift per metre of height.
+struct StandLean {
+  Eigen::Vector2f slope = Eigen::Vector2f::Zero();
+  float scatter = 0.0F;  ///< standard deviation of either component; 0: not known
+
+  /// How far a slope is from the stand's, in standard deviations; `error`: that of the slope
+  /// itself.
+  float deviation(const Eigen::Vector2f& of, float error) const {
+    return scatter > 0.0F ? (of - slope).norm() / std::hypot(scatter, error) : 0.0F;
+  }
+};
+
 /// Finds candidates for the stems of a block. Leaves at stem height, weeds and gaps are survived
 /// because evidence must persist vertically: a stem is the best-supported chain of clusters of
-/// votes over the slabs. Some candidates are leaves; what grows from them shows it (selectStems).
-/// Ordered by x, then y, of the lowest seed.
+/// votes over the slabs. Some candidates are leaves; what grows from them shows it (StemSelection).
+/// Best-supported first.
 /// @param grid      over the points of `block.cloud`
 /// @param shapes    local shape of every point of `block.cloud`
+/// @param lean      of the stand: where points are few it tells a stem from a step to the next one
 /// @param explained points to leave out, 1 each; empty: none
-/// @param most      candidates; the best-supported ones
+/// @param most      candidates
 std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& grid,
                                      const std::vector<LocalShape>& shapes,
                                      const SegmentationParameters& parameters,
-                                     SeedEvidence evidence,
+                                     SeedEvidence evidence, const StandLean& lean = {},
                                      const std::vector<std::uint8_t>& explained = {},
                                      std::size_t most = 1000U);
 

@@ -1,0 +1,290 @@
+#include "field_phenotyping/segmentation/row_model.hpp"
+
+#include <Eigen/Dense>
+#include <algorithm>
+#include <cmath>
+#include <complex>
+#include <cstddef>
+#include <limits>
+#include <stdexcept>
+
+namespace field_phenotyping {
+namespace {
+
+constexpr double kClosest = 0.25;        // [m] between rows that are looked for
+constexpr double kWidest = 1.5;          // [m]
+constexpr double kLeastScatter = 0.012;  // [m] about a row: no drill is finer
+constexpr double kMostScatter = 0.15;    // share of the row spacing: beyond it there are no rows
+constexpr double kHintError = 0.15;      // share by which a hint may be wrong
+
+double gaussian(double off, double scatter) {
+  const double z = off / scatter;
+  return std::exp(-0.5 * z * z) / (std::sqrt(2.0 * M_PI) * scatter);
+}
+
+Eigen::Vector2d across(const Eigen::Vector2d& along) {
+  return {-along.y(), along.x()};
+}
+
+struct Range {
+  double low;
+  double high;
+};
+
+Range hinted(double hint, double low, double high) {
+  if (!(hint > 0.0)) return {low, high};
+  return {(1.0 - kHintError) * hint, (1.0 + kHintError) * hint};
+}
+
+}  // namespace
+
+/// Rows while they are being fitted to places.
+struct RowModel::Fit {
+  double angle = 0.0;  // [rad] of the direction across the rows
+  double spacing = 0.0;
+  double offset = 0.0;
+  double scatter = 0.0;
+  double in_rows = 0.5;
+  double evidence = -std::numeric_limits<double>::infinity();
+
+  Eigen::Vector2d normal() const { return {std::cos(angle), std::sin(angle)}; }
+  double rowAt(const Eigen::Vector2d& position) const {
+    return std::round((normal().dot(position) - offset) / spacing);
+  }
+  double off(const Eigen::Vector2d& position) const {
+    return normal().dot(position) - offset - rowAt(position) * spacing;
+  }
+  /// Density of places against an even one.
+  double odds(double off_row) const {
+    return in_rows * spacing * gaussian(off_row, scatter) + 1.0 - in_rows;
+  }
+
+  /// Expectation maximisation from a rough start.
+  void refine(const std::vector<PlantPlace>& places, const Range& spacings) {
+    constexpr int kRounds = 20;
+    scatter = kMostScatter * spacing;
+    for (int round = 0; round < kRounds; ++round) {
+      // A weak prior holds what the places do not determine: the spacing of a single row.
+      Eigen::Matrix3d matrix = Eigen::Vector3d(1e-3, 1e-6, 1e-3).asDiagonal();
+      Eigen::Vector3d right = Eigen::Vector3d::Zero();
+      double total = 0.0;
+      double on = 0.0;
+      double squares = 0.0;
+      for (const PlantPlace& place : places) {
+        const double away = off(place.position);
+        const double in = 1.0 - (1.0 - in_rows) / odds(away);
+        const Eigen::Vector2d tangent(-std::sin(angle), std::cos(angle));
+        const Eigen::Vector3d slope(tangent.dot(place.position), -1.0, -rowAt(place.position));
+        matrix += place.weight * in * slope * slope.transpose();
+        right -= place.weight * in * away * slope;
+        total += place.weight;
+        on += place.weight * in;
+        squares += place.weight * in * away * away;
+      }
+      const Eigen::Vector3d change = matrix.ldlt().solve(right);
+      angle += change[0];
+      offset += change[1];
+      spacing = std::clamp(spacing + change[2], spacings.low, spacings.high);
+      // One plant more in a row and one more anywhere keep few plants from being sure.
+      in_rows = (on + 1.0) / (total + 2.0);
+      constexpr double kParameters = 3.0;  // that the same places have determined
+      scatter = std::sqrt(squares / std::max(on - kParameters, 1.0));
+      scatter = std::clamp(scatter, kLeastScatter, kMostScatter * spacing);
+    }
+    evidence = 0.0;
+    for (const PlantPlace& place : places) {
+      evidence += place.weight * std::log(odds(off(place.position)));
+    }
+  }
+};
+
+std::optional<RowModel> RowModel::find(const std::vector<PlantPlace>& places,
+                                       const RowHints& hints) {
+  if (hints.row_spacing < 0.0 || hints.plant_spacing < 0.0) {
+    throw std::invalid_argument("RowModel: a spacing is negative");
+  }
+  constexpr std::size_t kLeastPlaces = 8U;
+  if (places.size() < kLeastPlaces) return std::nullopt;
+  Eigen::Vector2d middle = Eigen::Vector2d::Zero();
+  for (const PlantPlace& place : places) middle += place.position;
+  middle /= static_cast<double>(places.size());
+  std::vector<PlantPlace> centred = places;
+  double reach = kClosest;
+  for (PlantPlace& place : centred) {
+    place.position -= middle;
+    reach = std::max(reach, place.position.norm());
+  }
+
+  // 1. Every direction with every spacing: the phases of the places agree where there are rows.
+  // Steps so fine that the outermost places stay within an eighth of a row.
+  const Range spacings = hinted(hints.row_spacing, kClosest, kWidest);
+  const double turn = spacings.low / (8.0 * reach);
+  const auto turns = static_cast<std::size_t>(std::ceil(M_PI / turn));
+  const double step = 1.0 / (8.0 * reach);
+  const auto steps =
+      static_cast<std::size_t>(std::ceil((1.0 / spacings.low - 1.0 / spacings.high) / step)) + 1U;
+  std::vector<Fit> starts;
+  for (std::size_t i = 0; i < turns; ++i) {
+    Fit start;
+    start.angle = M_PI * static_cast<double>(i) / static_cast<double>(turns);
+    for (std::size_t k = 0; k < steps; ++k) {
+      start.spacing =
+          1.0 / std::min(1.0 / spacings.high + static_cast<double>(k) * step, 1.0 / spacings.low);
+      std::complex<double> sum = 0.0;
+      for (const PlantPlace& place : centred) {
+        sum += std::polar(place.weight,
+                          2.0 * M_PI * start.normal().dot(place.position) / start.spacing);
+      }
+      start.offset = std::arg(sum) / (2.0 * M_PI) * start.spacing;
+      start.evidence = std::abs(sum);
+      starts.push_back(start);
+    }
+  }
+  // 2. The best of them, each fitted.
+  constexpr std::size_t kTried = 60U;
+  const std::size_t tried = std::min(kTried, starts.size());
+  std::partial_sort(starts.begin(), starts.begin() + static_cast<std::ptrdiff_t>(tried),
+                    starts.end(), [](const Fit& a, const Fit& b) {
+                      return a.evidence != b.evidence ? a.evidence > b.evidence
+                             : a.angle != b.angle     ? a.angle < b.angle
+                                                      : a.spacing < b.spacing;
+                    });
+  starts.resize(tried);
+  Fit best;
+  for (Fit& fit : starts) {
+    fit.refine(centred, spacings);
+    if (fit.evidence > best.evidence) best = fit;
+  }
+  // So many directions and spacings fit some places by chance; fewer do when one is given.
+  constexpr double kLeastEvidence = 16.0;
+  constexpr double kLeastHinted = 12.0;
+  if (!(best.evidence > (hints.row_spacing > 0.0 ? kLeastHinted : kLeastEvidence))) {
+    return std::nullopt;
+  }
+
+  RowModel rows;
+  rows.direction_ = -across(best.normal());
+  const bool along_y = std::abs(rows.direction_.x()) < 0.5;
+  if (along_y ? rows.direction_.y() < 0.0 : rows.direction_.x() < 0.0) rows.direction_ *= -1.0;
+  const double side = across(rows.direction_).dot(best.normal()) > 0.0 ? 1.0 : -1.0;
+  rows.row_spacing_ = best.spacing;
+  rows.row_offset_ = side * best.offset + across(rows.direction_).dot(middle);
+  rows.row_scatter_ = best.scatter;
+  rows.in_rows_ = best.in_rows;
+  for (const PlantPlace& place : places) rows.plants_[rows.rowOf(place.position)] += place.weight;
+  rows.fitSpacing(places, hints.plant_spacing);
+  return rows;
+}
+
+int RowModel::rowOf(const Eigen::Vector2d& position) const {
+  return static_cast<int>(
+      std::lround((across(direction_).dot(position) - row_offset_) / row_spacing_));
+}
+
+double RowModel::offRow(const Eigen::Vector2d& position) const {
+  return across(direction_).dot(position) - row_offset_ - rowOf(position) * row_spacing_;
+}
+
+double RowModel::alongRow(const Eigen::Vector2d& position) const {
+  return direction_.dot(position);
+}
+
+double RowModel::rowOdds(const Eigen::Vector2d& position) const {
+  constexpr double kLeastPlants = 2.0;
+  const auto row = plants_.find(rowOf(position));
+  if (row == plants_.end() || row->second < kLeastPlants) return 1.0;
+  return in_rows_ * row_spacing_ * gaussian(offRow(position), row_scatter_) + 1.0 - in_rows_;
+}
+
+/// Plants follow at the spacing, or at two, three, ... spacings where some are missing.
+double RowModel::intervalDensity(double interval) const {
+  constexpr int kMostMissing = 8;
+  constexpr double kAnyhow = 0.1;  // share that keeps to no spacing
+  constexpr double kLongest = 4.0;
+  double density = interval < kLongest * plant_spacing_ ? 1.0 / (kLongest * plant_spacing_) : 0.0;
+  density *= kAnyhow;
+  double share = (1.0 - kAnyhow) * (1.0 - missing_);
+  for (int k = 1; k <= kMostMissing; ++k) {
+    density += share * gaussian(interval - k * plant_spacing_,
+                                std::sqrt(k) * spacing_scatter_ * plant_spacing_);
+    share *= missing_;
+  }
+  constexpr double kNever = 1e-3;
+  return std::max(density, kNever / plant_spacing_);
+}
+
+void RowModel::fitSpacing(const std::vector<PlantPlace>& places, double hint) {
+  constexpr double kNear = 3.0;  // standard deviations from the row
+  std::map<int, std::vector<double>> rows;
+  for (const PlantPlace& place : places) {
+    if (std::abs(offRow(place.position)) > kNear * row_scatter_) continue;
+    rows[rowOf(place.position)].push_back(alongRow(place.position));
+  }
+  std::vector<double> intervals;
+  for (auto& [row, at] : rows) {
+    std::sort(at.begin(), at.end());
+    for (std::size_t i = 1; i < at.size(); ++i) intervals.push_back(at[i] - at[i - 1U]);
+  }
+  constexpr std::size_t kLeastIntervals = 5U;
+  if (intervals.size() < kLeastIntervals) {
+    if (!(hint > 0.0)) return;
+    plant_spacing_ = hint;
+    spacing_scatter_ = 0.3;
+    missing_ = 0.2;
+    return;
+  }
+  constexpr double kSmallest = 0.05;  // [m]
+  constexpr double kLargest = 1.0;
+  const Range spacings = hinted(hint, kSmallest, kLargest);
+  double most = -std::numeric_limits<double>::infinity();
+  RowModel best = *this;
+  RowModel trial = *this;
+  for (double spacing = spacings.low; spacing <= spacings.high; spacing *= 1.03) {
+    trial.plant_spacing_ = spacing;
+    for (const double scatter : {0.08, 0.14, 0.2, 0.3, 0.4}) {
+      trial.spacing_scatter_ = scatter;
+      for (const double missing : {0.03, 0.1, 0.2, 0.35, 0.5}) {
+        trial.missing_ = missing;
+        double likelihood = 0.0;
+        for (const double interval : intervals) {
+          likelihood += std::log(trial.intervalDensity(interval));
+        }
+        if (likelihood <= most) continue;
+        most = likelihood;
+        best = trial;
+      }
+    }
+  }
+  *this = best;
+}
+
+double RowModel::spacingOdds(const Eigen::Vector2d& position,
+                             const std::vector<Eigen::Vector2d>& others) const {
+  if (!(plant_spacing_ > 0.0)) return 1.0;
+  const int row = rowOf(position);
+  double before = std::numeric_limits<double>::infinity();
+  double after = before;
+  for (const Eigen::Vector2d& other : others) {
+    if (rowOf(other) != row) continue;
+    const double ahead = alongRow(other) - alongRow(position);
+    if (ahead > 0.0) {
+      after = std::min(after, ahead);
+    } else {
+      before = std::min(before, -ahead);
+    }
+  }
+  const bool alone = !std::isfinite(before) && !std::isfinite(after);
+  if (alone) return 1.0;
+  // Plants of a row keep apart; where they leave room, one more was sown.
+  const auto room = [&](double distance) {
+    constexpr double kTooNear = 0.6;    // of the spacing
+    constexpr double kSoftness = 0.08;  // likewise
+    constexpr double kDouble = 0.05;    // share of plants with another beside them
+    const double apart = (distance / plant_spacing_ - kTooNear) / kSoftness;
+    return kDouble + (1.0 - kDouble) / (1.0 + std::exp(-apart));
+  };
+  constexpr double kSown = 4.0;
+  return kSown * room(before) * room(after);
+}
+
+}  // namespace field_phenotyping

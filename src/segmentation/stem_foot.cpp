@@ -1,0 +1,145 @@
+#include "field_phenotyping/segmentation/stem_foot.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include "field_phenotyping/segmentation/stem_sight.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr float kBand = 0.05F;  // [m] along the axis
+
+/// What is seen of a stem, band by band from its base.
+struct Sight {
+  std::vector<float> weights;  // points in the skin where they crowd there; 0 where leaves do
+  float total = 0.0F;
+};
+
+Sight sightOf(const Block& block, const NeighborGrid& grid, const Midline& midline) {
+  const StemAxis& axis = midline.axis;
+  Sight sight;
+  for (float s = 0.5F * kBand; s < axis.length(); s += kBand) {
+    const BandSight band = seeBand(block.cloud.points, grid, midline, s, kBand);
+    constexpr float kMostOfBand = 12.0F;  // points of one band err together
+    sight.weights.push_back(band.inside > band.around ? std::min(band.inside, kMostOfBand) : 0.0F);
+    sight.total += sight.weights.back();
+  }
+  return sight;
+}
+
+/// Whether the lowest part of the stem shows enough to know where it stands.
+bool footIsSeen(const Sight& sight) {
+  constexpr float kLowest = 0.35F;  // of the length
+  constexpr float kEnough = 0.08F;  // of what is seen in all
+  const auto bands = static_cast<std::size_t>(kLowest * static_cast<float>(sight.weights.size()));
+  float low = 0.0F;
+  for (std::size_t band = 0; band < bands; ++band) low += sight.weights[band];
+  return low >= kEnough * sight.total;
+}
+
+}  // namespace
+
+StemAxis settleFoot(const Block& block, const NeighborGrid& grid, const Midline& midline,
+                    const StandLean& lean) {
+  const StemAxis& axis = midline.axis;
+  const Sight sight = sightOf(block, grid, midline);
+  if (!(lean.scatter > 0.0F) || !(sight.total > 0.0F) || footIsSeen(sight)) return axis;
+
+  // 1. The part that is seen: its middle and its slope.
+  Eigen::Vector3f middle = Eigen::Vector3f::Zero();
+  for (std::size_t band = 0; band < sight.weights.size(); ++band) {
+    middle +=
+        sight.weights[band] / sight.total * axis.pointAt((static_cast<float>(band) + 0.5F) * kBand);
+  }
+  float lever = 0.0F;  // mean square height about the middle
+  Eigen::Vector2f moment = Eigen::Vector2f::Zero();
+  for (std::size_t band = 0; band < sight.weights.size(); ++band) {
+    const Eigen::Vector3f off = axis.pointAt((static_cast<float>(band) + 0.5F) * kBand) - middle;
+    lever += sight.weights[band] / sight.total * off.z() * off.z();
+    moment += sight.weights[band] / sight.total * off.z() * off.head<2>();
+  }
+  if (!(lever > 0.0F)) return axis;
+  const Eigen::Vector2f seen_slope = moment / lever;
+  constexpr float kLeafPull = 0.015F;  // [m] by which leaves move either end
+  const float seen_error = kLeafPull / std::sqrt(lever);
+
+  // 2. The points further down that may be the stem's.
+  const float soil = block.ground.heightAt(middle.x(), middle.y());
+  const float height = middle.z() - soil;
+  constexpr float kLit = 0.15F;  // [m] below the middle: leaves crowd there
+  if (!(height > 2.0F * kLit)) return axis;
+  constexpr float kReach = 0.12F;  // [m] of the foot from where the stand's lean would have it
+  struct Drop {
+    Eigen::Vector2f shift;  // from the middle, horizontally
+    float depth;
+  };
+  std::vector<std::vector<Drop>> slabs;
+  constexpr float kSlab = 0.10F;
+  for (float depth = kLit; depth < height; depth += kSlab) {
+    slabs.emplace_back();
+    const float at = depth + 0.5F * kSlab;
+    const Eigen::Vector2f expected = middle.head<2>() - at * lean.slope;
+    const Eigen::Vector3f center(expected.x(), expected.y(), middle.z() - at);
+    const float reach = kReach * at / height + 0.03F;
+    grid.forEachWithin(center, std::hypot(reach, 0.5F * kSlab), [&](std::uint32_t i, float) {
+      const Eigen::Vector3f off = block.cloud.points[i] - middle;
+      if (std::abs(-off.z() - at) > 0.5F * kSlab) return;
+      slabs.back().push_back({off.head<2>(), -off.z()});
+    });
+  }
+
+  // 3. The slope that all agree on best.
+  const auto scoreOf = [&](const Eigen::Vector2f& slope) {
+    const float standing = lean.deviation(slope, 0.0F);
+    float score = -0.5F * standing * standing -
+                  0.5F * (slope - seen_slope).squaredNorm() / (seen_error * seen_error);
+    for (const std::vector<Drop>& slab : slabs) {
+      constexpr float kWidth = 0.010F;  // [m] of a stem's points about its axis
+      constexpr float kFew = 1.0F;      // point that chance puts there
+      float near = 0.0F;
+      for (const Drop& drop : slab) {
+        const float off = (drop.shift + drop.depth * slope).norm() / kWidth;
+        near += std::exp(-0.5F * off * off);
+      }
+      score += std::log1p(near / (kFew + 0.1F * static_cast<float>(slab.size())));
+    }
+    return score;
+  };
+  const float step = 0.005F / height;
+  const int steps = static_cast<int>(std::ceil(kReach / 0.005F));
+  Eigen::Vector2f best = seen_slope;
+  float most = -std::numeric_limits<float>::max();
+  for (int dy = -steps; dy <= steps; ++dy) {
+    for (int dx = -steps; dx <= steps; ++dx) {
+      const Eigen::Vector2f slope =
+          lean.slope + step * Eigen::Vector2f(static_cast<float>(dx), static_cast<float>(dy));
+      const float score = scoreOf(slope);
+      if (score <= most) continue;
+      most = score;
+      best = slope;
+    }
+  }
+
+  // 4. Straight down from the middle; above it as it was.
+  constexpr float kNodeSpacing = 0.05F;  // [m]
+  std::vector<StemAxis::Node> nodes;
+  const auto count = static_cast<int>(std::ceil(height / kNodeSpacing));
+  for (int k = count; k >= 0; --k) {
+    const float depth = height * static_cast<float>(k) / static_cast<float>(count);
+    Eigen::Vector3f position = middle;
+    position.head<2>() -= depth * best;
+    position.z() -= depth;
+    nodes.push_back({position, axis.radiusAt(axis.project(position).arc_length)});
+  }
+  constexpr float kLeastStep = 0.01F;
+  for (const StemAxis::Node& node : axis.nodes()) {
+    if (node.position.z() > nodes.back().position.z() + kLeastStep) nodes.push_back(node);
+  }
+  return StemAxis(std::move(nodes));
+}
+
+}  // namespace field_phenotyping
