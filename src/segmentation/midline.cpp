@@ -10,7 +10,7 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kBandHeight = 0.10F;   // [m] along the axis, for pruning and shares
+constexpr float kBandHeight = 0.10F;   // [m] along the axis, for pruning
 constexpr double kNodeSpacing = 0.05;  // [m] of the curve's nodes
 constexpr std::size_t kMinPoints = 8U;
 constexpr double kMostOfBand = 10.0;  // [log likelihood] what a few points of a stem say
@@ -119,23 +119,27 @@ class CurveFit {
   /// Trusts a stretch where points crowd within the stem's skin, and hardly where as many lie in
   /// the ring round it: leaves, which would draw the curve their way.
   void judge(double low, double high) {
-    for (std::size_t band = bandOf(low); band <= bandOf(high); ++band) {
-      double inside = 0.0;
-      double around = 0.0;
-      for (const Sample& sample : *samples_) {
-        if (bandOf(sample.height) != band) continue;
-        const double skin = curve_.radiusAt(sample.height) + 2.0 * spreadAt(sample.height);
-        const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
-        if (distance < skin) {
-          inside += 1.0;
-        } else if (distance < 2.0 * skin) {
-          around += 1.0;
-        }
+    const std::size_t first = bandOf(low);
+    const std::size_t last = bandOf(high);
+    std::vector<double> inside(last - first + 1U, 0.0);
+    std::vector<double> around(inside.size(), 0.0);
+    for (const Sample& sample : *samples_) {
+      const std::size_t band = bandOf(sample.height);
+      if (band < first || band > last) continue;
+      const double skin = curve_.radiusAt(sample.height) + 2.0 * spreadAt(sample.height);
+      const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
+      if (distance < skin) {
+        inside[band - first] += 1.0;
+      } else if (distance < 2.0 * skin) {
+        around[band - first] += 1.0;
       }
-      constexpr double kSureExcess = 0.3;
-      constexpr double kLeastTrust = 0.05;
-      trust_[band] = std::clamp((inside - around) / (kSureExcess * (inside + around) + 1e-9),
-                                kLeastTrust, 1.0);
+    }
+    constexpr double kSureExcess = 0.3;
+    constexpr double kLeastTrust = 0.05;
+    for (std::size_t k = 0; k < inside.size(); ++k) {
+      const double excess = inside[k] - around[k];
+      trust_[first + k] =
+          std::clamp(excess / (kSureExcess * (inside[k] + around[k]) + 1e-9), kLeastTrust, 1.0);
     }
   }
 
@@ -285,12 +289,25 @@ class CurveFit {
   }
 
   /// Weighted least squares of the centres, and of radius and taper with the surface, under a prior
-  /// that stems bend little. Unknowns: u, v of every node, radius, taper.
+  /// that stems bend little. Unknowns: u, v of every node, with the surface also radius and taper.
   void maximise(bool surface) {
     const auto nodes = static_cast<Eigen::Index>(curve_.centers.size());
-    const Eigen::Index size = 2 * nodes + 2;
+    const Eigen::Index size = 2 * nodes + (surface ? 2 : 0);
     Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(size, size);
     Eigen::VectorXd right = Eigen::VectorXd::Zero(size);
+    // One equation: direction . center there + radius_row . (radius, taper) = target.
+    const auto addRow = [&](const StemCurve::Place& place, const Eigen::Vector2d& direction,
+                            const Eigen::Vector2d& radius_row, double target, double weight) {
+      const Eigen::Index first = 2 * static_cast<Eigen::Index>(place.node);
+      Eigen::Vector4d row;
+      row << (1.0 - place.share) * direction, place.share * direction;
+      normal.block<4, 4>(first, first) += weight * row * row.transpose();
+      right.segment<4>(first) += weight * target * row;
+      if (!surface) return;
+      normal.block<2, 4>(size - 2, first) += weight * radius_row * row.transpose();
+      normal.bottomRightCorner<2, 2>() += weight * radius_row * radius_row.transpose();
+      right.tail<2>() += weight * target * radius_row;
+    };
 
     // Points of one cell err together (leaf bases, out-of-roundness), so many count as a few.
     std::vector<double> cell_points(curve_.centers.size(), 0.0);
@@ -306,31 +323,15 @@ class CurveFit {
                             std::min(1.0, kMostPoints / cell_points[place.node]) /
                             std::pow(spreadAt((*samples_)[i].height), 2);
       const Eigen::Vector2d& offset = (*samples_)[i].offset;
-      const Eigen::Index first = 2 * static_cast<Eigen::Index>(place.node);
       if (!surface) {
-        for (Eigen::Index axis = 0; axis < 2; ++axis) {
-          const double low = 1.0 - place.share;
-          const double high = place.share;
-          normal(first + axis, first + axis) += weight * low * low;
-          normal(first + 2 + axis, first + 2 + axis) += weight * high * high;
-          normal(first + 2 + axis, first + axis) += weight * low * high;
-          right[first + axis] += weight * low * offset[axis];
-          right[first + 2 + axis] += weight * high * offset[axis];
-        }
+        addRow(place, Eigen::Vector2d::UnitX(), Eigen::Vector2d::Zero(), offset.x(), weight);
+        addRow(place, Eigen::Vector2d::UnitY(), Eigen::Vector2d::Zero(), offset.y(), weight);
         continue;
       }
       // Distance minus radius, linearised: toward . (offset - center) = radius + taper * height.
       const Eigen::Vector2d away = offset - curve_.centerAt((*samples_)[i].height);
       const Eigen::Vector2d toward = away / std::max(away.norm(), 1e-6);
-      Eigen::Vector4d row;
-      row << (1.0 - place.share) * toward, place.share * toward;
-      const Eigen::Vector2d row_radius(1.0, (*samples_)[i].height);
-      const double target = toward.dot(offset);
-      normal.block<4, 4>(first, first) += weight * row * row.transpose();
-      normal.block<2, 4>(size - 2, first) += weight * row_radius * row.transpose();
-      normal.bottomRightCorner<2, 2>() += weight * row_radius * row_radius.transpose();
-      right.segment<4>(first) += weight * target * row;
-      right.tail<2>() += weight * target * row_radius;
+      addRow(place, toward, {1.0, (*samples_)[i].height}, toward.dot(offset), weight);
     }
 
     // Bending: the slope wanders by kBend per square root of a metre.
@@ -360,9 +361,6 @@ class CurveFit {
       right.tail<2>() += level * typical_radius_ * row;
       normal(size - 1, size - 1) += slope;
       right[size - 1] -= slope * kTaper * typical_radius_;
-    } else {
-      normal.bottomRightCorner<2, 2>().setIdentity();
-      right.tail<2>() << curve_.radius, curve_.taper;
     }
 
     const Eigen::LDLT<Eigen::MatrixXd, Eigen::Lower> solver(normal);

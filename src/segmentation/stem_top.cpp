@@ -90,72 +90,85 @@ double occupiedLength(const std::vector<Place>& places, double length) {
   return end > 0.0 ? std::min(end, length) : length;
 }
 
-/// Where the tassel's side branches begin: a bare stretch of stem below, and above it points all
-/// round. `occupied` if there is no such place near the end of the axis.
-double tasselBase(const std::vector<Place>& places, double occupied) {
-  constexpr double kStep = 0.0125;      // [m]
-  constexpr double kReach = 0.025;      // [m] of the branches beyond the stem's skin
-  constexpr std::size_t kWindow = 8U;   // steps compared
-  constexpr double kEmergence = 0.015;  // [m] of stem that branches need to leave its skin
-  constexpr double kLongest = 0.55;     // [m] of a tassel
-  constexpr double kLeastStem = 0.6;    // of stem and tassel together
-  constexpr double kShortest = 0.13;
-  constexpr std::size_t kBranchedSteps = 16U;  // that side branches come out of the skin in
-  constexpr std::size_t kSectors = 8U;
+constexpr double kRingStep = 0.0125;  // [m] of the axis
+constexpr std::size_t kSectors = 8U;
+
+/// Points of the ring just outside the skin, step by step along the axis.
+struct Rings {
+  std::vector<double> counts;
+  std::vector<std::array<double, kSectors>> sectors;  ///< the same, by azimuth
+};
+
+Rings countRings(const std::vector<Place>& places, double length) {
+  constexpr double kReach = 0.025;  // [m] of side branches beyond the stem's skin
+  const auto steps = static_cast<std::size_t>(std::ceil(length / kRingStep)) + 1U;
+  Rings rings{std::vector<double>(steps, 0.0),
+              std::vector<std::array<double, kSectors>>(steps, {{0.0}})};
+  for (const Place& place : places) {
+    if (place.arc_length >= length || place.distance < place.skin ||
+        place.distance > place.skin + kReach) {
+      continue;
+    }
+    const auto step = static_cast<std::size_t>(place.arc_length / kRingStep);
+    const double turn = (place.azimuth + M_PI) / (2.0 * M_PI);
+    rings.counts[step] += 1.0;
+    rings.sectors[step][std::min(static_cast<std::size_t>(turn * kSectors), kSectors - 1U)] += 1.0;
+  }
+  return rings;
+}
+
+/// Whether a window of the rings shows points all round the axis.
+bool branchesAllRound(const Rings& rings, std::size_t from, std::size_t to, double points) {
   constexpr std::size_t kLeastSectors = 5U;
   constexpr std::size_t kFewSectors = 4U;  // where few points show them
   constexpr double kManyPoints = 60.0;
   constexpr double kSectorShare = 0.02;  // of the points, for a sector to count
   constexpr double kStray = 1.0;         // points that noise may put there
+  std::size_t seen = 0U;
+  for (std::size_t a = 0; a < kSectors; ++a) {
+    double count = 0.0;
+    for (std::size_t step = from; step < to; ++step) count += rings.sectors[step][a];
+    if (count > std::max(kSectorShare * points, kStray)) ++seen;
+  }
+  return seen >= (points < kManyPoints ? kFewSectors : kLeastSectors);
+}
+
+double sumOf(const std::vector<double>& counts, std::size_t from, std::size_t to) {
+  return std::accumulate(counts.begin() + static_cast<std::ptrdiff_t>(from),
+                         counts.begin() + static_cast<std::ptrdiff_t>(to), 0.0);
+}
+
+/// Where the tassel's side branches begin: a bare stretch of stem below, and above it points all
+/// round. `occupied` if there is no such place near the end of the axis.
+double tasselBase(const std::vector<Place>& places, double occupied) {
+  constexpr std::size_t kWindow = 8U;          // steps compared
+  constexpr double kEmergence = 0.015;         // [m] of stem that branches need to leave its skin
+  constexpr double kLongest = 0.55;            // [m] of a tassel
+  constexpr double kLeastStem = 0.6;           // of stem and tassel together
+  constexpr double kShortest = 0.13;           // [m] of a tassel
+  constexpr std::size_t kBranchedSteps = 16U;  // that side branches come out of the skin in
+  constexpr double kMostBeyond = 0.35;         // points above them, of what the branches show
+  constexpr double kSamePlace = 0.10;          // [m]
   constexpr double kLeastContrast = 4.0;
   constexpr double kLeastPoints = 6.0;
-  const auto steps = static_cast<std::size_t>(std::ceil(occupied / kStep)) + 1U;
-  std::vector<double> counts(steps, 0.0);
-  std::vector<std::array<double, kSectors>> sectors(steps);
-  for (auto& slot : sectors) slot.fill(0.0);
-  for (const Place& place : places) {
-    if (place.arc_length >= occupied || place.distance < place.skin ||
-        place.distance > place.skin + kReach) {
-      continue;
-    }
-    const auto step = static_cast<std::size_t>(place.arc_length / kStep);
-    counts[step] += 1.0;
-    const double turn = (place.azimuth + M_PI) / (2.0 * M_PI);
-    sectors[step][std::min(static_cast<std::size_t>(turn * kSectors), kSectors - 1U)] += 1.0;
-  }
+  const Rings rings = countRings(places, occupied);
+  const std::size_t steps = rings.counts.size();
   // From the top down: the last such place is the tassel's, those below are ears' and leaves'.
   double best = kLeastContrast;
   double base = occupied;
   for (std::size_t k = steps - std::min(steps, kWindow); k >= kWindow; --k) {
-    const double at = static_cast<double>(k) * kStep;
+    const double at = static_cast<double>(k) * kRingStep;
     if (at > occupied - kShortest) continue;
-    constexpr double kSamePlace = 0.10;  // [m]
-    if (at < std::max(occupied - kLongest, kLeastStem * occupied) ||
-        (best > kLeastContrast && at < base - kSamePlace))
-      break;
-    double below = 0.0;
-    double above = 0.0;
-    std::array<double, kSectors> seen{};
-    for (std::size_t j = 0; j < kWindow; ++j) {
-      below += counts[k - 1U - j];
-      above += counts[k + j];
-      for (std::size_t a = 0; a < kSectors; ++a) seen[a] += sectors[k + j][a];
-    }
-    const auto all_round =
-        static_cast<std::size_t>(std::count_if(seen.begin(), seen.end(), [&](double count) {
-          return count > std::max(kSectorShare * above, kStray);
-        }));
-    if (above < kLeastPoints) continue;
-    if (all_round < (above < kManyPoints ? kFewSectors : kLeastSectors)) continue;
+    if (at < std::max(occupied - kLongest, kLeastStem * occupied)) break;
+    if (best > kLeastContrast && at < base - kSamePlace) break;
+    const double below = sumOf(rings.counts, k - kWindow, k);
+    const double above = sumOf(rings.counts, k, k + kWindow);
+    if (above < kLeastPoints || !branchesAllRound(rings, k, k + kWindow, above)) continue;
     // Beyond its branches the tassel is a bare spike; leaves go on.
     double most_beyond = 0.0;
     for (std::size_t j = k + kBranchedSteps; j + kWindow <= steps; ++j) {
-      most_beyond =
-          std::max(most_beyond,
-                   std::accumulate(counts.begin() + static_cast<std::ptrdiff_t>(j),
-                                   counts.begin() + static_cast<std::ptrdiff_t>(j + kWindow), 0.0));
+      most_beyond = std::max(most_beyond, sumOf(rings.counts, j, j + kWindow));
     }
-    constexpr double kMostBeyond = 0.35;  // of what the branches show
     if (most_beyond > kMostBeyond * above) continue;
     const double contrast = (above + 1.0) / (below + 1.0);
     if (contrast <= best) continue;
