@@ -545,6 +545,7 @@ std::vector<std::uint32_t> pruneByMidline(const std::vector<Eigen::Vector3f>& po
   std::vector<std::uint32_t> kept;
   for (const std::uint32_t i : members) {
     const StemAxis::Projection at = axis.project(points[i]);
+    if (at.arc_length > axis.length()) continue;
     if (at.distance <= thresholds[bandOf(at.arc_length)]) kept.push_back(i);
   }
   return kept;
