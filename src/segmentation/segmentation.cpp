@@ -85,17 +85,34 @@ float structuralQuality(const GrowthScene& scene, const std::vector<std::uint32_
   return 0.5F * kept + 0.5F * compact;
 }
 
+/// About how high the block's plants are; soil does not count, nor a few points above them.
+float canopyHeight(const GrowthScene& scene, const GroundModel& ground) {
+  constexpr float kSoil = 0.05F;  // [m]
+  constexpr float kShare = 0.98F;
+  std::vector<float> heights;
+  for (const Eigen::Vector3f& point : scene.points) {
+    const float height = ground.heightAbove(point);
+    if (height > kSoil) heights.push_back(height);
+  }
+  if (heights.empty()) return kSoil;
+  const auto high = heights.begin() +
+                    static_cast<std::ptrdiff_t>(kShare * static_cast<float>(heights.size() - 1U));
+  std::nth_element(heights.begin(), high, heights.end());
+  return *high;
+}
+
 /// Step 1: the start points give the axis prior, the points round it the midline and where it ends.
 Midline findMidline(const GrowthScene& scene, const StemSeeds& seeds, const GroundModel& ground,
-                    float max_radius) {
+                    float max_radius, float plant_height) {
   const StemAxis prior = axisFromSeeds(seeds, ground, 0.5F * max_radius);
   const std::vector<std::uint32_t> around = pointsAround(scene, prior, max_radius);
-  Midline midline = fitMidline(scene.points, around, prior, max_radius);
+  Midline midline = fitMidline(scene.points, around, prior, max_radius, plant_height);
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
   // Without the leaves above, the axis points straight up through them, and shows its end better.
-  constexpr float kBeyond = 0.25F;  // [m]
-  midline = fitMidline(scene.points, around, midline.axis, max_radius);
-  midline.axis = midline.axis.extendedBy(kBeyond);
+  constexpr float kMostBeyond = 0.25F;  // [m]
+  constexpr float kBeyond = 0.2F;       // of the plant's height
+  midline = fitMidline(scene.points, around, midline.axis, max_radius, plant_height);
+  midline.axis = midline.axis.extendedBy(std::min(kMostBeyond, kBeyond * plant_height));
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
   return midline;
 }
@@ -119,10 +136,11 @@ Stem growStem(const GrowthScene& scene, Midline midline, const SegmentationParam
 void growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
                     const GroundModel& ground, const SegmentationParameters& parameters,
                     std::vector<Stem>& stems) {
+  const float plant_height = canopyHeight(scene, ground);
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   for (const StemSeeds& one : seeds) {
-    Stem stem = growStem(
-        scene, findMidline(scene, one, ground, static_cast<float>(parameters.max_stem_radius)),
-        parameters);
+    Stem stem =
+        growStem(scene, findMidline(scene, one, ground, max_radius, plant_height), parameters);
     if (!stem.points.empty()) stems.push_back(std::move(stem));
   }
 }

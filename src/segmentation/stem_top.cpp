@@ -22,7 +22,7 @@ std::vector<Place> placesOf(const std::vector<Eigen::Vector3f>& points,
   places.reserve(members.size());
   for (const std::uint32_t i : members) {
     const StemAxis::Projection at = midline.axis.project(points[i]);
-    if (at.arc_length < 0.0F || at.arc_length > midline.axis.length()) continue;
+    if (at.arc_length < 0.0F) continue;
     const Eigen::Vector3f away = points[i] - at.foot;
     places.push_back({static_cast<double>(at.arc_length), static_cast<double>(at.distance),
                       static_cast<double>(at.radius + 0.5F * midline.spread),
@@ -40,12 +40,14 @@ double logCount(double count, double mean, double shape) {
          count * std::log(share) + shape * std::log1p(-share);
 }
 
-std::vector<double> coreCounts(const std::vector<Place>& places, double length,
+/// Points in the core of every band; the first begins at `start`.
+std::vector<double> coreCounts(const std::vector<Place>& places, double start, double length,
                                double band_height) {
-  std::vector<double> counts(static_cast<std::size_t>(std::ceil(length / band_height)) + 1U, 0.0);
+  std::vector<double> counts(
+      static_cast<std::size_t>(std::ceil((length - start) / band_height)) + 1U, 0.0);
   for (const Place& place : places) {
-    if (place.distance < place.core) {
-      counts[static_cast<std::size_t>(place.arc_length / band_height)] += 1.0;
+    if (place.distance < place.core && place.arc_length >= start && place.arc_length < length) {
+      counts[static_cast<std::size_t>((place.arc_length - start) / band_height)] += 1.0;
     }
   }
   return counts;
@@ -65,29 +67,53 @@ double medianSeen(const std::vector<double>& counts) {
 /// Where the axis stops being one: the cut that best parts bands with a stem from bands without.
 double occupiedLength(const std::vector<Place>& places, double length) {
   // Bands so high that a stem shows some points in each.
-  constexpr double kLowest = 0.05;  // [m]
+  constexpr double kShortest = 0.05;  // [m], or a share of a short axis
+  constexpr double kShare = 0.1;
   constexpr double kHighest = 0.20;
   constexpr double kPoints = 5.0;
-  const double seen = medianSeen(coreCounts(places, length, kHighest));
+  const double seen = medianSeen(coreCounts(places, 0.0, length, kHighest));
   if (!(seen > 0.0)) return length;
-  const double band_height = std::clamp(kHighest * kPoints / seen, kLowest, kHighest);
-  const std::vector<double> counts = coreCounts(places, length, band_height);
-  const double stem_mean = std::max(medianSeen(counts), 1.0);
+  const double band_height =
+      std::clamp(kHighest * kPoints / seen, std::min(kShortest, kShare * length), kHighest);
+  const double stem_mean = std::max(medianSeen(coreCounts(places, 0.0, length, band_height)), 1.0);
   constexpr double kOtherShare = 0.12;
   constexpr double kStemShape = 0.8;
   constexpr double kOtherShape = 0.5;
 
-  double sum = 0.0;
   double best = 0.0;
   double end = 0.0;
-  for (std::size_t k = 0; k < counts.size(); ++k) {
-    sum += logCount(counts[k], stem_mean, kStemShape) -
-           logCount(counts[k], kOtherShare * stem_mean, kOtherShape);
-    if (sum <= best) continue;
-    best = sum;
-    end = static_cast<double>(k + 1U) * band_height;
+  constexpr int kPhases = 4;  // cuts closer than a band apart
+  for (int phase = 0; phase < kPhases; ++phase) {
+    const double start = band_height * phase / kPhases;
+    const std::vector<double> counts = coreCounts(places, start, length, band_height);
+    double sum = 0.0;
+    for (std::size_t k = 0; k < counts.size(); ++k) {
+      sum += logCount(counts[k], stem_mean, kStemShape) -
+             logCount(counts[k], kOtherShare * stem_mean, kOtherShape);
+      if (sum <= best) continue;
+      best = sum;
+      end = start + static_cast<double>(k + 1U) * band_height;
+    }
   }
   return end > 0.0 ? std::min(end, length) : length;
+}
+
+/// Whether leaves stand all round where the core ends: the whorl opens there. A tassel's tip stands
+/// alone.
+bool opensAsWhorl(const std::vector<Place>& places, double occupied) {
+  constexpr double kAbove = 0.10;     // [m]
+  constexpr double kReach = 0.06;     // [m]
+  constexpr double kLeafShare = 2.5;  // points of leaves there, to those of as much stem
+  double above = 0.0;
+  double stem = 0.0;
+  for (const Place& place : places) {
+    if (place.arc_length < occupied) {
+      if (place.distance < place.skin) stem += 1.0;
+    } else if (place.arc_length < occupied + kAbove && place.distance < kReach) {
+      above += 1.0;
+    }
+  }
+  return above > kLeafShare * stem * kAbove / occupied;
 }
 
 constexpr double kRingStep = 0.0125;  // [m] of the axis
@@ -149,7 +175,7 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
   constexpr std::size_t kBranchedSteps = 16U;  // that side branches come out of the skin in
   constexpr double kMostBeyond = 0.35;         // points above them, of what the branches show
   constexpr double kSamePlace = 0.10;          // [m]
-  constexpr double kLeastContrast = 4.0;
+  constexpr double kLeastContrast = 2.5;
   constexpr double kLeastPoints = 6.0;
   const Rings rings = countRings(places, occupied);
   const std::size_t steps = rings.counts.size();
@@ -183,7 +209,14 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
 float findStemTop(const std::vector<Eigen::Vector3f>& points,
                   const std::vector<std::uint32_t>& members, const Midline& midline) {
   const std::vector<Place> places = placesOf(points, members, midline);
-  const double occupied = occupiedLength(places, static_cast<double>(midline.axis.length()));
+  const double length = static_cast<double>(midline.axis.length());
+  const double occupied = occupiedLength(places, length);
+  if (opensAsWhorl(places, occupied)) {
+    // The young leaves clasp one another above the stem's end until they have left its core.
+    constexpr double kClasp = 3.0;  // radii
+    const double radius = static_cast<double>(midline.axis.radiusAt(static_cast<float>(occupied)));
+    return static_cast<float>(occupied - std::min(kClasp * radius, 0.5 * occupied));
+  }
   return static_cast<float>(tasselBase(places, occupied));
 }
 

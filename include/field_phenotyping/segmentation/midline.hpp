@@ -18,19 +18,21 @@ struct Midline {
 /// Fits the curved midline of a stem and its radius profile (2.4.2, Step 1; Eq 15 made a curve that
 /// bends little).
 ///
-/// Expectation maximisation of a thin skin of stem points among leaf points: it begins at the stretch
-/// of the prior that agrees best with what lies straight above and below it, grows from there up and
-/// down, and trusts bands where leaves crowd little. The end of the stem is not looked for here: see
-/// findStemTop(). A half-seen stem is centred by its curvature and by a prior on radius and taper.
+/// Expectation maximisation of a thin skin of stem points among leaf points: it begins at the
+/// stretch of the prior that agrees best with what lies straight above and below it, grows from
+/// there up and down, and trusts bands where leaves crowd little. The end of the stem is not looked
+/// for here: see findStemTop(). A half-seen stem is centred by its curvature and by a prior on
+/// radius and taper.
 ///
 /// @param points     candidates, local frame [m]
 /// @param members    indices of the points round the stem (leaf points among them are survived)
 /// @param prior      rough axis; its ends are the midline's
 /// @param max_radius thickest stem that is believed [m]
-/// Gives back the prior where there are too few points. Thread-safe; deterministic.
+/// @param plant_height about how high the plant is [m]: its stem is slender, and a seedling's is
+/// short Gives back the prior where there are too few points. Thread-safe; deterministic.
 Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
                    const std::vector<std::uint32_t>& members, const StemAxis& prior,
-                   float max_radius);
+                   float max_radius, float plant_height);
 
 /// Removes over-segmented points (2.4.2, Steps 2-4): those farther from the midline than `factor`
 /// times the median distance of their height band (Eq 16). Keeps the order.
