@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -10,12 +11,40 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kBandHeight = 0.10F;   // [m] along the axis, for pruning and shares
-constexpr double kNodeSpacing = 0.05;  // [m] of the curve's nodes
+constexpr float kBandHeight = 0.10F;  // [m] along the axis, for pruning
 constexpr std::size_t kMinPoints = 8U;
-constexpr double kMostOfBand = 10.0;  // [log likelihood] what a few points of a stem say
-constexpr double kMinSpread = 0.002;  // [m]
-constexpr double kMaxSpread = 0.012;  // [m] beyond it nothing tells a stem from what is round it
+constexpr double kPointEvidence = 1.0;   // [log likelihood] what one point could say for a stem
+constexpr double kMostEvidence = 100.0;  // [log likelihood/m] what a few points of a stem say
+constexpr double kMinSpread = 0.002;     // [m]
+constexpr double kMaxSpread = 0.012;     // [m] beyond it nothing tells a stem from what is round it
+
+/// Sizes that go with the plant's: what is a short stretch of a tall stem is all of a seedling's.
+struct Scale {
+  double reach;       ///< [m] from a centre within which a stem's points are looked for
+  double thickest;    ///< [m] radius
+  double spacing;     ///< [m] of the curve's nodes
+  double share_band;  ///< [m] with a share of stem points of its own
+  double stretch;     ///< [m] that a fit begins with
+  double extension;   ///< [m] that it goes on by
+  bool young;         ///< leaves rise as steeply as the stem and reach far above it
+
+  Scale(float max_radius, float plant_height) {
+    constexpr double kFull = 1.2;      // [m] plants as high as this show stems a full step long
+    constexpr double kLeast = 0.25;    // of full steps
+    constexpr double kSlender = 50.0;  // heights of a plant to the radius of its stem, at least
+    const auto widest = static_cast<double>(max_radius);
+    const auto height = static_cast<double>(plant_height);
+    const double size = std::clamp(height / kFull, kLeast, 1.0);
+    thickest = std::min(widest, height / kSlender);
+    reach = 1.2 * std::sqrt(widest * thickest);
+    spacing = 0.05 * size;
+    share_band = 0.10 * size;
+    stretch = 0.40 * size;
+    extension = 0.10 * size;
+    constexpr double kYoung = 1.4;  // [m] lower than any with a tassel
+    young = height < kYoung;
+  }
+};
 
 float medianOf(std::vector<float>& values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
@@ -46,6 +75,8 @@ struct ChordFrame {
     const Eigen::Vector3d away = point.cast<double>() - origin;
     return {away.dot(w), {away.dot(u), away.dot(v)}};
   }
+  /// Offset of a plumb line per metre of height.
+  Eigen::Vector2d upright() const { return Eigen::Vector2d(u.z(), v.z()) / w.z(); }
   Eigen::Vector3f fromFrame(double height, const Eigen::Vector2d& offset) const {
     return (origin + height * w + offset.x() * u + offset.y() * v).cast<float>();
   }
@@ -54,7 +85,7 @@ struct ChordFrame {
 /// The stem as it is fitted: centres at even heights with straight lines between, and a radius that
 /// falls evenly with the height.
 struct StemCurve {
-  double spacing = kNodeSpacing;
+  double spacing = 0.0;  ///< [m] of the centres
   std::vector<Eigen::Vector2d> centers;
   double radius = 0.0;  ///< at height 0
   double taper = 0.0;   ///< of the radius per metre, <= 0
@@ -83,13 +114,13 @@ struct StemCurve {
 /// of the active range of heights are looked at; elsewhere the curve runs on straight.
 class CurveFit {
  public:
-  CurveFit(const std::vector<Sample>& samples, StemCurve start, double max_radius)
+  CurveFit(const std::vector<Sample>& samples, StemCurve start, const Scale& scale)
       : samples_(&samples),
         curve_(std::move(start)),
-        max_radius_(max_radius),
-        reach_(1.2 * max_radius),
+        scale_(scale),
+        reach_(scale.reach),
         posterior_(samples.size(), 0.0) {
-    shares_.assign(static_cast<std::size_t>(std::ceil(length() / kShareBand)) + 1U, 0.5);
+    shares_.assign(static_cast<std::size_t>(std::ceil(length() / scale_.share_band)) + 1U, 0.5);
     trust_.assign(shares_.size(), 1.0);
   }
 
@@ -103,6 +134,9 @@ class CurveFit {
 
   double length() const { return curve_.spacing * static_cast<double>(curve_.centers.size() - 1U); }
   const StemCurve& curve() const { return curve_; }
+  bool sameCurve(const CurveFit& other) const {
+    return curve_.centers == other.curve_.centers && curve_.radius == other.curve_.radius;
+  }
 
   void setActive(double low, double high) {
     low_ = low;
@@ -119,23 +153,27 @@ class CurveFit {
   /// Trusts a stretch where points crowd within the stem's skin, and hardly where as many lie in
   /// the ring round it: leaves, which would draw the curve their way.
   void judge(double low, double high) {
-    for (std::size_t band = bandOf(low); band <= bandOf(high); ++band) {
-      double inside = 0.0;
-      double around = 0.0;
-      for (const Sample& sample : *samples_) {
-        if (bandOf(sample.height) != band) continue;
-        const double skin = curve_.radiusAt(sample.height) + 2.0 * spreadAt(sample.height);
-        const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
-        if (distance < skin) {
-          inside += 1.0;
-        } else if (distance < 2.0 * skin) {
-          around += 1.0;
-        }
+    const std::size_t first = bandOf(low);
+    const std::size_t last = bandOf(high);
+    std::vector<double> inside(last - first + 1U, 0.0);
+    std::vector<double> around(inside.size(), 0.0);
+    for (const Sample& sample : *samples_) {
+      const std::size_t band = bandOf(sample.height);
+      if (band < first || band > last) continue;
+      const double skin = curve_.radiusAt(sample.height) + 2.0 * spreadAt(sample.height);
+      const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
+      if (distance < skin) {
+        inside[band - first] += 1.0;
+      } else if (distance < 2.0 * skin) {
+        around[band - first] += 1.0;
       }
-      constexpr double kSureExcess = 0.3;
-      constexpr double kLeastTrust = 0.05;
-      trust_[band] = std::clamp((inside - around) / (kSureExcess * (inside + around) + 1e-9),
-                                kLeastTrust, 1.0);
+    }
+    constexpr double kSureExcess = 0.3;
+    constexpr double kLeastTrust = 0.05;
+    for (std::size_t k = 0; k < inside.size(); ++k) {
+      const double excess = inside[k] - around[k];
+      trust_[first + k] =
+          std::clamp(excess / (kSureExcess * (inside[k] + around[k]) + 1e-9), kLeastTrust, 1.0);
     }
   }
 
@@ -167,7 +205,30 @@ class CurveFit {
     return std::clamp(std::sqrt(sum / total), kMinSpread, kMaxSpread);
   }
 
-  double stemPoints() const { return std::accumulate(posterior_.begin(), posterior_.end(), 0.0); }
+  /// Whether a stem ends below [low, high], which no fit has seen yet: there are points, but they
+  /// have left the core of the curve carried on straight, where the stem below has many. A fit
+  /// that went on would follow a leaf of the open whorl.
+  bool emptyCore(double low, double high) const {
+    double core = 0.0;
+    double near = 0.0;
+    double below = 0.0;
+    for (const Sample& sample : *samples_) {
+      if (sample.height > high) continue;
+      const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
+      const double skin = curve_.radiusAt(sample.height) + spreadAt(sample.height);
+      if (sample.height < low) {
+        if (distance < skin && sample.height > low_) below += 1.0;
+      } else if (distance < skin) {
+        core += 1.0;
+      } else if (distance < 3.0 * skin) {
+        near += 1.0;
+      }
+    }
+    constexpr double kEmpty = 0.1;   // of what the stem shows below
+    constexpr double kLeaves = 2.0;  // the same
+    const double expected = below * (high - low) / std::max(low - std::max(low_, 0.0), 1e-3);
+    return core < kEmpty * expected && near > kLeaves * expected;
+  }
 
   /// Starts the surface at a typical radius, which also is its prior.
   void setRadius(double typical) {
@@ -179,7 +240,7 @@ class CurveFit {
   /// A fit over other samples that goes on from this one's curve, carried on straight.
   CurveFit continuedOver(const std::vector<Sample>& samples, const StemCurve& wanted, double low,
                          double high) const {
-    CurveFit fit(samples, wanted, max_radius_);
+    CurveFit fit(samples, wanted, scale_);
     const double first = low;
     const Eigen::Vector2d foot = curve_.centers.front();
     const Eigen::Vector2d top = curve_.centers.back();
@@ -203,6 +264,34 @@ class CurveFit {
   /// beyond [low, high]. No band says more than a few points of a stem would, since leaves are
   /// dense.
   double evidence(double low, double high) const {
+    const std::vector<double> bands = bandEvidence(low, high);
+    return std::accumulate(bands.begin(), bands.end(), 0.0);
+  }
+
+  /// The same of a stem that stands on the soil: a band counts by the share of what the bands below
+  /// it could show that they do show. A leaf has nothing below.
+  double rootedEvidence(double low, double high, const std::vector<Sample>& all) const {
+    std::vector<double> possible(shares_.size(), 0.0);
+    for (const Sample& sample : all) possible[bandOf(sample.height)] += kPointEvidence;
+    const std::vector<double> bands = bandEvidence(low, high);
+    double sum = 0.0;
+    double shown = 0.0;
+    double could_show = 0.0;
+    for (std::size_t band = 0; band < bands.size(); ++band) {
+      shown += bands[band];
+      could_show += std::min(possible[band], mostEvidence());
+      if (could_show > 0.0) sum += bands[band] * std::pow(std::min(shown / could_show, 1.0), 2);
+    }
+    return sum;
+  }
+
+ private:
+  static constexpr double kTaper = 0.25;        // share of the radius lost per metre
+  static constexpr double kTaperStddev = 0.12;  // of the same
+
+  double mostEvidence() const { return kMostEvidence * scale_.share_band; }
+
+  std::vector<double> bandEvidence(double low, double high) const {
     std::vector<std::vector<double>> ratios(shares_.size());
     for (const Sample& sample : *samples_) {
       const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
@@ -213,7 +302,7 @@ class CurveFit {
           surfaceDensity(distance, sample.height, std::hypot(spread_, kLoosen * beyond)) /
           clutter());
     }
-    double sum = 0.0;
+    std::vector<double> bands;
     for (const std::vector<double>& band : ratios) {
       double most = 0.0;
       for (const double share : {0.2, 0.7}) {
@@ -221,15 +310,10 @@ class CurveFit {
         for (const double ratio : band) gain += std::log1p(share * (ratio - 1.0));
         most = std::max(most, gain);
       }
-      sum += std::min(most, kMostOfBand);
+      bands.push_back(std::min(most, mostEvidence()));
     }
-    return sum;
+    return bands;
   }
-
- private:
-  static constexpr double kShareBand = 0.10;    // [m]
-  static constexpr double kTaper = 0.25;        // share of the radius lost per metre
-  static constexpr double kTaperStddev = 0.12;  // of the same
 
   bool active(const Sample& sample) const {
     return sample.height >= low_ && sample.height <= high_;
@@ -237,7 +321,7 @@ class CurveFit {
 
   std::size_t bandOf(double height) const {
     return static_cast<std::size_t>(
-        std::clamp(height / kShareBand, 0.0, static_cast<double>(shares_.size() - 1U)));
+        std::clamp(height / scale_.share_band, 0.0, static_cast<double>(shares_.size() - 1U)));
   }
 
   /// Density of a stem's points over the plane across it [1/m^2].
@@ -285,12 +369,25 @@ class CurveFit {
   }
 
   /// Weighted least squares of the centres, and of radius and taper with the surface, under a prior
-  /// that stems bend little. Unknowns: u, v of every node, radius, taper.
+  /// that stems bend little. Unknowns: u, v of every node, with the surface also radius and taper.
   void maximise(bool surface) {
     const auto nodes = static_cast<Eigen::Index>(curve_.centers.size());
-    const Eigen::Index size = 2 * nodes + 2;
+    const Eigen::Index size = 2 * nodes + (surface ? 2 : 0);
     Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(size, size);
     Eigen::VectorXd right = Eigen::VectorXd::Zero(size);
+    // One equation: direction . center there + radius_row . (radius, taper) = target.
+    const auto addRow = [&](const StemCurve::Place& place, const Eigen::Vector2d& direction,
+                            const Eigen::Vector2d& radius_row, double target, double weight) {
+      const Eigen::Index first = 2 * static_cast<Eigen::Index>(place.node);
+      Eigen::Vector4d row;
+      row << (1.0 - place.share) * direction, place.share * direction;
+      normal.block<4, 4>(first, first) += weight * row * row.transpose();
+      right.segment<4>(first) += weight * target * row;
+      if (!surface) return;
+      normal.block<2, 4>(size - 2, first) += weight * radius_row * row.transpose();
+      normal.bottomRightCorner<2, 2>() += weight * radius_row * radius_row.transpose();
+      right.tail<2>() += weight * target * radius_row;
+    };
 
     // Points of one cell err together (leaf bases, out-of-roundness), so many count as a few.
     std::vector<double> cell_points(curve_.centers.size(), 0.0);
@@ -306,31 +403,15 @@ class CurveFit {
                             std::min(1.0, kMostPoints / cell_points[place.node]) /
                             std::pow(spreadAt((*samples_)[i].height), 2);
       const Eigen::Vector2d& offset = (*samples_)[i].offset;
-      const Eigen::Index first = 2 * static_cast<Eigen::Index>(place.node);
       if (!surface) {
-        for (Eigen::Index axis = 0; axis < 2; ++axis) {
-          const double low = 1.0 - place.share;
-          const double high = place.share;
-          normal(first + axis, first + axis) += weight * low * low;
-          normal(first + 2 + axis, first + 2 + axis) += weight * high * high;
-          normal(first + 2 + axis, first + axis) += weight * low * high;
-          right[first + axis] += weight * low * offset[axis];
-          right[first + 2 + axis] += weight * high * offset[axis];
-        }
+        addRow(place, Eigen::Vector2d::UnitX(), Eigen::Vector2d::Zero(), offset.x(), weight);
+        addRow(place, Eigen::Vector2d::UnitY(), Eigen::Vector2d::Zero(), offset.y(), weight);
         continue;
       }
       // Distance minus radius, linearised: toward . (offset - center) = radius + taper * height.
       const Eigen::Vector2d away = offset - curve_.centerAt((*samples_)[i].height);
       const Eigen::Vector2d toward = away / std::max(away.norm(), 1e-6);
-      Eigen::Vector4d row;
-      row << (1.0 - place.share) * toward, place.share * toward;
-      const Eigen::Vector2d row_radius(1.0, (*samples_)[i].height);
-      const double target = toward.dot(offset);
-      normal.block<4, 4>(first, first) += weight * row * row.transpose();
-      normal.block<2, 4>(size - 2, first) += weight * row_radius * row.transpose();
-      normal.bottomRightCorner<2, 2>() += weight * row_radius * row_radius.transpose();
-      right.segment<4>(first) += weight * target * row;
-      right.tail<2>() += weight * target * row_radius;
+      addRow(place, toward, {1.0, (*samples_)[i].height}, toward.dot(offset), weight);
     }
 
     // Bending: the slope wanders by kBend per square root of a metre.
@@ -360,9 +441,6 @@ class CurveFit {
       right.tail<2>() += level * typical_radius_ * row;
       normal(size - 1, size - 1) += slope;
       right[size - 1] -= slope * kTaper * typical_radius_;
-    } else {
-      normal.bottomRightCorner<2, 2>().setIdentity();
-      right.tail<2>() << curve_.radius, curve_.taper;
     }
 
     const Eigen::LDLT<Eigen::MatrixXd, Eigen::Lower> solver(normal);
@@ -382,7 +460,7 @@ class CurveFit {
 
   const std::vector<Sample>* samples_;
   StemCurve curve_;
-  double max_radius_;
+  Scale scale_;
   double reach_;
   double low_ = 0.0;
   double high_ = 0.0;
@@ -395,62 +473,162 @@ class CurveFit {
   std::vector<double> posterior_;
 };
 
-/// The stretch of the prior that agrees best with what lies above and below it: leaves that the
-/// prior strays to do not. Every stretch is tried with several radii.
-CurveFit fitBestStretch(const std::vector<Sample>& samples, const StemCurve& start,
-                        double max_radius, double& low, double& high) {
-  std::vector<Sample> near;  // what any of the fits reaches
+/// Where a stem in that direction would have most points low above the soil.
+Eigen::Vector2d densestFoot(const std::vector<Sample>& samples, const Eigen::Vector2d& upright,
+                            const Scale& scale) {
+  constexpr std::size_t kMostSamples = 200U;
+  std::vector<Eigen::Vector2d> low;
   for (const Sample& sample : samples) {
-    constexpr double kReach = 2.0;  // max_radius
-    if ((sample.offset - start.centerAt(sample.height)).norm() < kReach * max_radius) {
+    if (sample.height > 0.0 && sample.height < 0.5 * scale.stretch) {
+      low.push_back(sample.offset - sample.height * upright);
+    }
+  }
+  const std::size_t step = low.size() / kMostSamples + 1U;
+  Eigen::Vector2d best = Eigen::Vector2d::Zero();
+  double most = 0.0;
+  for (std::size_t i = 0; i < low.size(); i += step) {
+    double count = 0.0;
+    Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+    for (const Eigen::Vector2d& other : low) {
+      if ((other - low[i]).norm() > scale.thickest) continue;
+      count += 1.0;
+      sum += other;
+    }
+    if (count <= most) continue;
+    most = count;
+    best = sum / count;
+  }
+  return best;
+}
+
+/// A stem as it may be: a fit of [low, high].
+struct Hypothesis {
+  CurveFit fit;
+  double low = 0.0;
+  double high = 0.0;
+  double sure = 0.0;      ///< [m] the fit began above it
+  double spread = 0.004;  ///< [m] until the whole stem shows it
+};
+
+std::vector<Sample> samplesAlong(const std::vector<Sample>& samples, const StemCurve& way,
+                                 const Scale& scale) {
+  constexpr double kReach = 5.0 / 3.0;  // what any of the fits reaches, for they move
+  std::vector<Sample> near;
+  for (const Sample& sample : samples) {
+    if ((sample.offset - way.centerAt(sample.height)).norm() < kReach * scale.reach) {
       near.push_back(sample);
     }
   }
-  constexpr double kStretch = 0.40;  // [m]
-  constexpr double kStep = 0.20;     // [m]
-  CurveFit best(near, start, max_radius);
-  double most = -std::numeric_limits<double>::infinity();
-  const double length = best.length();
-  const double last = std::max(0.0, length - kStretch);
-  const auto steps = static_cast<int>(std::ceil(last / kStep));
-  for (int k = 0; k <= steps; ++k) {
-    const double from = steps > 0 ? last * k / steps : 0.0;
-    const double to = std::min(from + kStretch, length);
-    std::vector<Sample> local;
-    for (const Sample& sample : near) {
-      if (sample.height < from || sample.height > to) continue;
-      local.push_back({sample.height - from, sample.offset});
-    }
-    if (local.size() < kMinPoints) continue;
-    StemCurve line;
-    line.spacing = (to - from) / std::ceil((to - from) / start.spacing);
-    for (double at = from; at < to + 0.5 * line.spacing; at += line.spacing) {
-      line.centers.push_back(start.centerAt(at));
-    }
-    CurveFit blob(local, line, max_radius);
-    blob.setActive(0.0, to - from);
-    for (const double width : {0.5, 0.42, 0.35}) blob.fitBlob(width * max_radius);
-    for (const double radius : {0.2, 0.3, 0.42, 0.58, 0.8}) {
-      CurveFit fit = blob;
-      fit.setRadius(radius * max_radius);
-      for (const double spread : {0.006, 0.005}) fit.fitSurface(spread);
-      for (int round = 0; round < 3; ++round) fit.fitSurface(fit.surfaceSpread());
-      const CurveFit whole = fit.continuedOver(near, start, from, to);
-      const double evidence = whole.evidence(from, to);
-      if (evidence <= most) continue;
-      most = evidence;
-      best = whole;
-      low = from;
-      high = to;
-    }
-  }
-  return best.over(samples);
+  return near;
 }
 
-StemCurve curveAlong(const StemAxis& prior, const ChordFrame& frame) {
+/// Fits a stretch of a way along the plant with several radii.
+std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCurve& way,
+                                   const Scale& scale, double low, double high) {
+  std::vector<Sample> local;
+  for (const Sample& sample : near) {
+    if (sample.height < low || sample.height > high) continue;
+    local.push_back({sample.height - low, sample.offset});
+  }
+  if (local.size() < kMinPoints) return {};
+  StemCurve line;
+  line.spacing = (high - low) / std::ceil((high - low) / way.spacing);
+  for (double at = low; at < high + 0.5 * line.spacing; at += line.spacing) {
+    line.centers.push_back(way.centerAt(at));
+  }
+  CurveFit blob(local, line, scale);
+  blob.setActive(0.0, high - low);
+  for (const double width : {0.42, 0.35, 0.29}) blob.fitBlob(width * scale.reach);
+  std::vector<Hypothesis> fits;
+  for (const double radius : {0.2, 0.3, 0.42, 0.58, 0.8}) {
+    CurveFit fit = blob;
+    fit.setRadius(radius * scale.thickest);
+    for (const double spread : {0.006, 0.005}) fit.fitSurface(spread);
+    for (int round = 0; round < 3; ++round) fit.fitSurface(fit.surfaceSpread());
+    fits.push_back({fit.continuedOver(near, way, low, high), low, high, low});
+  }
+  return fits;
+}
+
+/// The stretches that agree best with what lies above and below them: the one that most points
+/// speak for, and the one that stands best on the soil, if it is another. The first may be a leaf.
+std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, const StemCurve& start,
+                                        const Eigen::Vector2d& upright, const Scale& scale) {
+  std::vector<Hypothesis> best;  // by evidence, by rooted evidence
+  std::array<double, 2> most{};
+  const auto keepBest = [&](const std::vector<Hypothesis>& fits) {
+    for (const Hypothesis& one : fits) {
+      const std::array<double, 2> evidence{one.fit.evidence(one.low, one.high),
+                                           one.fit.rootedEvidence(one.low, one.high, samples)};
+      if (best.empty()) {
+        best = {one, one};
+        most = evidence;
+      }
+      for (std::size_t k = 0; k < 2U; ++k) {
+        if (evidence[k] <= most[k]) continue;
+        most[k] = evidence[k];
+        best[k] = one;
+      }
+    }
+  };
+  const std::vector<Sample> near = samplesAlong(samples, start, scale);
+  const double length = start.spacing * static_cast<double>(start.centers.size() - 1U);
+  const double last = std::max(0.0, length - scale.stretch);
+  const auto steps = static_cast<int>(std::ceil(last / (0.5 * scale.stretch)));
+  for (int k = 0; k <= steps; ++k) {
+    const double low = steps > 0 ? last * k / steps : 0.0;
+    keepBest(fitStretch(near, start, scale, low, std::min(low + scale.stretch, length)));
+  }
+  // A prior that follows a leaf passes by the foot of its plant, which is where points crowd low.
+  const Eigen::Vector2d foot = densestFoot(samples, upright, scale);
+  if (scale.young && (foot - start.centers.front()).norm() > scale.thickest) {
+    StemCurve from_foot = start;
+    for (std::size_t k = 0; k < from_foot.centers.size(); ++k) {
+      from_foot.centers[k] = foot + start.spacing * static_cast<double>(k) * upright;
+    }
+    keepBest(fitStretch(samplesAlong(samples, from_foot, scale), from_foot, scale, 0.0,
+                        std::min(scale.stretch, length)));
+  }
+  if (best.size() == 2U && best[0].low == best[1].low && best[0].fit.sameCurve(best[1].fit)) {
+    best.pop_back();
+  }
+  return best;
+}
+
+/// From a sure stretch up and down, straight on until points say otherwise; not into an open whorl.
+void extend(Hypothesis& stem, const std::vector<Sample>& samples, const Scale& scale) {
+  CurveFit& fit = stem.fit;
+  fit = fit.over(samples);
+  double top = fit.length() + scale.spacing;
+  while (stem.low > -scale.spacing || stem.high < top) {
+    constexpr double kLook = 1.5;
+    if (scale.young && stem.high < top &&
+        fit.emptyCore(stem.high, stem.high + kLook * scale.extension)) {
+      top = stem.high;
+    }
+    fit.judge(stem.low - scale.extension, stem.low);
+    fit.judge(stem.high, stem.high + scale.extension);
+    stem.low = std::max(stem.low - scale.extension, -scale.spacing);
+    stem.high = std::min(stem.high + scale.extension, top);
+    fit.setActive(stem.low, stem.high);
+    fit.fitSurface(stem.spread);
+  }
+}
+
+/// The whole of it at once.
+void settle(Hypothesis& stem) {
+  for (const double foot_spread : {0.02, 0.016, 0.012, 0.009, 0.006, 0.004, 0.0, 0.0}) {
+    stem.fit.loosenBelow(stem.sure, foot_spread);
+    stem.fit.judge(stem.low, stem.high);
+    stem.fit.fitSurface(stem.spread);
+    if (foot_spread == 0.0) stem.spread = stem.fit.surfaceSpread();
+  }
+}
+
+StemCurve curveAlong(const StemAxis& prior, const ChordFrame& frame, double spacing) {
   constexpr double kMostNodes = 80.0;
   StemCurve curve;
-  const double count = std::clamp(std::ceil(frame.length / kNodeSpacing), 2.0, kMostNodes);
+  const double count = std::clamp(std::ceil(frame.length / spacing), 2.0, kMostNodes);
   curve.spacing = frame.length / count;
   for (std::size_t k = 0; k <= static_cast<std::size_t>(count); ++k) {
     // Where the prior passes that height of the chord.
@@ -469,12 +647,13 @@ StemCurve curveAlong(const StemAxis& prior, const ChordFrame& frame) {
 
 Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
                    const std::vector<std::uint32_t>& members, const StemAxis& prior,
-                   float max_radius) {
+                   float max_radius, float plant_height) {
   const ChordFrame frame(prior);
+  const Scale scale(max_radius, plant_height);
   std::vector<Sample> samples;
   for (const std::uint32_t i : members) {
     const Sample sample = frame.toFrame(points[i]);
-    if (sample.height > -kNodeSpacing && sample.height < frame.length + kNodeSpacing) {
+    if (sample.height > -scale.spacing && sample.height < frame.length + scale.spacing) {
       samples.push_back(sample);
     }
   }
@@ -483,46 +662,33 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
   midline.spread = 0.125F * max_radius;
   if (samples.size() < kMinPoints) return midline;
 
-  // 1. A stretch that is surely stem.
-  double low = 0.0;
-  double high = 0.0;
-  CurveFit fit =
-      fitBestStretch(samples, curveAlong(prior, frame), static_cast<double>(max_radius), low, high);
-  if (!(high > low)) return midline;
-
-  // 2. From there up and down, straight on until points say otherwise.
-  constexpr double kExtend = 0.10;  // [m] a step
-  double spread = 0.004;            // [m] until the whole stem shows it
-  const double sure = low;
-  while (low > -kNodeSpacing || high < fit.length() + kNodeSpacing) {
-    fit.judge(low - kExtend, low);
-    fit.judge(high, high + kExtend);
-    low = std::max(low - kExtend, -kNodeSpacing);
-    high = std::min(high + kExtend, fit.length() + kNodeSpacing);
-    fit.setActive(low, high);
-    fit.fitSurface(spread);
-  }
-  // 3. The whole of it.
-  for (const double foot_spread : {0.02, 0.016, 0.012, 0.009, 0.006, 0.004, 0.0, 0.0}) {
-    fit.loosenBelow(sure, foot_spread);
-    fit.judge(low, high);
-    fit.fitSurface(spread);
-    if (foot_spread == 0.0) spread = fit.surfaceSpread();
-  }
+  // 1. Stretches that are surely stem, or a leaf.
+  std::vector<Hypothesis> stems =
+      likelyStretches(samples, curveAlong(prior, frame, scale.spacing), frame.upright(), scale);
+  if (stems.empty()) return midline;
+  // 2. The whole stem from there. What stands on the soil is no leaf.
+  for (Hypothesis& stem : stems) extend(stem, samples, scale);
+  const auto rooted = [&](const Hypothesis& stem) {
+    return stem.fit.rootedEvidence(stem.low, stem.high, samples);
+  };
+  Hypothesis& stem =
+      scale.young && stems.size() > 1U && rooted(stems[1]) > rooted(stems[0]) ? stems[1] : stems[0];
+  settle(stem);
 
   std::vector<StemAxis::Node> nodes;
-  const StemCurve& curve = fit.curve();
+  const StemCurve& curve = stem.fit.curve();
   for (std::size_t k = 0; k < curve.centers.size(); ++k) {
     const double height = curve.spacing * static_cast<double>(k);
     const Eigen::Vector3f position = frame.fromFrame(height, curve.centers[k]);
     constexpr float kLeastRise = 1e-3F;
     if (!nodes.empty() && position.z() <= nodes.back().position.z() + kLeastRise) continue;
-    nodes.push_back({position, std::min(static_cast<float>(curve.radiusAt(height)), max_radius)});
+    nodes.push_back({position, std::min(static_cast<float>(curve.radiusAt(height)),
+                                        static_cast<float>(scale.thickest))});
   }
   if (nodes.size() < 2U) return midline;
   midline.axis = StemAxis(std::move(nodes));
-  midline.spread = static_cast<float>(spread);
-  midline.evidence = static_cast<float>(fit.evidence(low, high));
+  midline.spread = static_cast<float>(stem.spread);
+  midline.evidence = static_cast<float>(stem.fit.evidence(stem.low, stem.high));
   return midline;
 }
 
@@ -547,6 +713,7 @@ std::vector<std::uint32_t> pruneByMidline(const std::vector<Eigen::Vector3f>& po
   std::vector<std::uint32_t> kept;
   for (const std::uint32_t i : members) {
     const StemAxis::Projection at = axis.project(points[i]);
+    if (at.arc_length > axis.length()) continue;
     if (at.distance <= thresholds[bandOf(at.arc_length)]) kept.push_back(i);
   }
   return kept;

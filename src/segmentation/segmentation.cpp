@@ -37,30 +37,48 @@ StemAxis axisFromSeeds(const StemSeeds& seeds, const GroundModel& ground, float 
   return StemAxis(std::move(nodes));
 }
 
+/// About how high the block's plants are; soil does not count, nor a few points above them.
+float canopyHeight(const GrowthScene& scene, const GroundModel& ground) {
+  constexpr float kSoil = 0.05F;  // [m]
+  constexpr float kShare = 0.98F;
+  std::vector<float> heights;
+  for (const Eigen::Vector3f& point : scene.points) {
+    const float height = ground.heightAbove(point);
+    if (height > kSoil) heights.push_back(height);
+  }
+  if (heights.empty()) return kSoil;
+  const auto high = heights.begin() +
+                    static_cast<std::ptrdiff_t>(kShare * static_cast<float>(heights.size() - 1U));
+  std::nth_element(heights.begin(), high, heights.end());
+  return *high;
+}
+
 /// Step 1: the start points give the axis prior, the points round it the midline and where it ends.
 Midline findMidline(const GrowthScene& scene, const StemSeeds& seeds, const GroundModel& ground,
-                    float max_radius) {
+                    float max_radius, float plant_height) {
   const StemAxis prior = axisFromSeeds(seeds, ground, 0.5F * max_radius);
   constexpr float kAround = 2.5F;  // max_radius
   const std::vector<std::uint32_t> around = pointsAround(scene, prior, kAround * max_radius);
-  Midline midline = fitMidline(scene.points, around, prior, max_radius);
+  Midline midline = fitMidline(scene.points, around, prior, max_radius, plant_height);
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
   // Without the leaves above, the axis points straight up through them, and shows its end better.
-  constexpr float kBeyond = 0.25F;  // [m]
-  midline = fitMidline(scene.points, around, midline.axis, max_radius);
-  midline.axis = midline.axis.extendedBy(kBeyond);
+  constexpr float kMostBeyond = 0.25F;  // [m]
+  constexpr float kBeyond = 0.2F;       // of the plant's height
+  midline = fitMidline(scene.points, around, midline.axis, max_radius, plant_height);
+  midline.axis = midline.axis.extendedBy(std::min(kMostBeyond, kBeyond * plant_height));
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
   return midline;
 }
 
 /// What grows from every candidate; candidates that nothing grows from are left out.
 std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
-                                      const GroundModel& ground,
+                                      const GroundModel& ground, float plant_height,
                                       const SegmentationParameters& parameters) {
   std::vector<GrownStem> grown(seeds.size());
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   parallelFor(seeds.size(), [&](std::size_t k) {
-    grown[k] = growCandidate(scene, findMidline(scene, seeds[k], ground, max_radius), parameters);
+    grown[k] = growCandidate(scene, findMidline(scene, seeds[k], ground, max_radius, plant_height),
+                             parameters);
   });
   grown.erase(std::remove_if(grown.begin(), grown.end(),
                              [](const GrownStem& stem) { return stem.points.empty(); }),
@@ -231,13 +249,14 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const NeighborGrid grid(points, 0.5F * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);
   const GrowthScene scene{points, shapes, grid};
+  const float plant_height = canopyHeight(scene, block.ground);
   const StemSelection selection(block, grid, parameters);
 
   // Step 1: start points. What grows from them shows which are stems', and those how the stand
   // stands.
   std::vector<GrownStem> stems =
       growCandidates(scene, findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright),
-                     block.ground, parameters);
+                     block.ground, plant_height, parameters);
   const StandLean lean = leanOf(axesOf(onlyStems(selection, stems)));
   settleFeet(scene, block, lean, parameters, stems);
   stems = onlyStems(selection, std::move(stems));
@@ -248,7 +267,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
         growCandidates(scene,
                        findStemSeeds(block, grid, shapes, parameters, evidence, lean,
                                      explainedPoints(scene, stems), most),
-                       block.ground, parameters);
+                       block.ground, plant_height, parameters);
     settleFeet(scene, block, lean, parameters, more);
     std::move(more.begin(), more.end(), std::back_inserter(stems));
     stems = onlyStems(selection, std::move(stems));

@@ -22,7 +22,7 @@ std::vector<Place> placesOf(const std::vector<Eigen::Vector3f>& points,
   places.reserve(members.size());
   for (const std::uint32_t i : members) {
     const StemAxis::Projection at = midline.axis.project(points[i]);
-    if (at.arc_length < 0.0F || at.arc_length > midline.axis.length()) continue;
+    if (at.arc_length < 0.0F) continue;
     const Eigen::Vector3f away = points[i] - at.foot;
     places.push_back({static_cast<double>(at.arc_length), static_cast<double>(at.distance),
                       static_cast<double>(at.radius + 0.5F * midline.spread),
@@ -40,12 +40,14 @@ double logCount(double count, double mean, double shape) {
          count * std::log(share) + shape * std::log1p(-share);
 }
 
-std::vector<double> coreCounts(const std::vector<Place>& places, double length,
+/// Points in the core of every band; the first begins at `start`.
+std::vector<double> coreCounts(const std::vector<Place>& places, double start, double length,
                                double band_height) {
-  std::vector<double> counts(static_cast<std::size_t>(std::ceil(length / band_height)) + 1U, 0.0);
+  std::vector<double> counts(
+      static_cast<std::size_t>(std::ceil((length - start) / band_height)) + 1U, 0.0);
   for (const Place& place : places) {
-    if (place.distance < place.core) {
-      counts[static_cast<std::size_t>(place.arc_length / band_height)] += 1.0;
+    if (place.distance < place.core && place.arc_length >= start && place.arc_length < length) {
+      counts[static_cast<std::size_t>((place.arc_length - start) / band_height)] += 1.0;
     }
   }
   return counts;
@@ -65,97 +67,134 @@ double medianSeen(const std::vector<double>& counts) {
 /// Where the axis stops being one: the cut that best parts bands with a stem from bands without.
 double occupiedLength(const std::vector<Place>& places, double length) {
   // Bands so high that a stem shows some points in each.
-  constexpr double kLowest = 0.05;  // [m]
+  constexpr double kShortest = 0.05;  // [m], or a share of a short axis
+  constexpr double kShare = 0.1;
   constexpr double kHighest = 0.20;
   constexpr double kPoints = 5.0;
-  const double seen = medianSeen(coreCounts(places, length, kHighest));
+  const double seen = medianSeen(coreCounts(places, 0.0, length, kHighest));
   if (!(seen > 0.0)) return length;
-  const double band_height = std::clamp(kHighest * kPoints / seen, kLowest, kHighest);
-  const std::vector<double> counts = coreCounts(places, length, band_height);
-  const double stem_mean = std::max(medianSeen(counts), 1.0);
+  const double band_height =
+      std::clamp(kHighest * kPoints / seen, std::min(kShortest, kShare * length), kHighest);
+  const double stem_mean = std::max(medianSeen(coreCounts(places, 0.0, length, band_height)), 1.0);
   constexpr double kOtherShare = 0.12;
   constexpr double kStemShape = 0.8;
   constexpr double kOtherShape = 0.5;
 
-  double sum = 0.0;
   double best = 0.0;
   double end = 0.0;
-  for (std::size_t k = 0; k < counts.size(); ++k) {
-    sum += logCount(counts[k], stem_mean, kStemShape) -
-           logCount(counts[k], kOtherShare * stem_mean, kOtherShape);
-    if (sum <= best) continue;
-    best = sum;
-    end = static_cast<double>(k + 1U) * band_height;
+  constexpr int kPhases = 4;  // cuts closer than a band apart
+  for (int phase = 0; phase < kPhases; ++phase) {
+    const double start = band_height * phase / kPhases;
+    const std::vector<double> counts = coreCounts(places, start, length, band_height);
+    double sum = 0.0;
+    for (std::size_t k = 0; k < counts.size(); ++k) {
+      sum += logCount(counts[k], stem_mean, kStemShape) -
+             logCount(counts[k], kOtherShare * stem_mean, kOtherShape);
+      if (sum <= best) continue;
+      best = sum;
+      end = start + static_cast<double>(k + 1U) * band_height;
+    }
   }
   return end > 0.0 ? std::min(end, length) : length;
 }
 
-/// Where the tassel's side branches begin: a bare stretch of stem below, and above it points all
-/// round. `occupied` if there is no such place near the end of the axis.
-double tasselBase(const std::vector<Place>& places, double occupied) {
-  constexpr double kStep = 0.0125;      // [m]
-  constexpr double kReach = 0.025;      // [m] of the branches beyond the stem's skin
-  constexpr std::size_t kWindow = 8U;   // steps compared
-  constexpr double kEmergence = 0.015;  // [m] of stem that branches need to leave its skin
-  constexpr double kLongest = 0.55;     // [m] of a tassel
-  constexpr double kLeastStem = 0.6;    // of stem and tassel together
-  constexpr double kShortest = 0.13;
-  constexpr std::size_t kBranchedSteps = 16U;  // that side branches come out of the skin in
-  constexpr std::size_t kSectors = 8U;
+/// Whether leaves stand all round where the core ends: the whorl opens there. A tassel's tip stands
+/// alone.
+bool opensAsWhorl(const std::vector<Place>& places, double occupied) {
+  constexpr double kAbove = 0.10;     // [m]
+  constexpr double kReach = 0.06;     // [m]
+  constexpr double kLeafShare = 2.5;  // points of leaves there, to those of as much stem
+  double above = 0.0;
+  double stem = 0.0;
+  for (const Place& place : places) {
+    if (place.arc_length < occupied) {
+      if (place.distance < place.skin) stem += 1.0;
+    } else if (place.arc_length < occupied + kAbove && place.distance < kReach) {
+      above += 1.0;
+    }
+  }
+  return above > kLeafShare * stem * kAbove / occupied;
+}
+
+constexpr double kRingStep = 0.0125;  // [m] of the axis
+constexpr std::size_t kSectors = 8U;
+
+/// Points of the ring just outside the skin, step by step along the axis.
+struct Rings {
+  std::vector<double> counts;
+  std::vector<std::array<double, kSectors>> sectors;  ///< the same, by azimuth
+};
+
+Rings countRings(const std::vector<Place>& places, double length) {
+  constexpr double kReach = 0.025;  // [m] of side branches beyond the stem's skin
+  const auto steps = static_cast<std::size_t>(std::ceil(length / kRingStep)) + 1U;
+  Rings rings{std::vector<double>(steps, 0.0),
+              std::vector<std::array<double, kSectors>>(steps, {{0.0}})};
+  for (const Place& place : places) {
+    if (place.arc_length >= length || place.distance < place.skin ||
+        place.distance > place.skin + kReach) {
+      continue;
+    }
+    const auto step = static_cast<std::size_t>(place.arc_length / kRingStep);
+    const double turn = (place.azimuth + M_PI) / (2.0 * M_PI);
+    rings.counts[step] += 1.0;
+    rings.sectors[step][std::min(static_cast<std::size_t>(turn * kSectors), kSectors - 1U)] += 1.0;
+  }
+  return rings;
+}
+
+/// Whether a window of the rings shows points all round the axis.
+bool branchesAllRound(const Rings& rings, std::size_t from, std::size_t to, double points) {
   constexpr std::size_t kLeastSectors = 5U;
   constexpr std::size_t kFewSectors = 4U;  // where few points show them
   constexpr double kManyPoints = 60.0;
   constexpr double kSectorShare = 0.02;  // of the points, for a sector to count
   constexpr double kStray = 1.0;         // points that noise may put there
-  constexpr double kLeastContrast = 4.0;
-  constexpr double kLeastPoints = 6.0;
-  const auto steps = static_cast<std::size_t>(std::ceil(occupied / kStep)) + 1U;
-  std::vector<double> counts(steps, 0.0);
-  std::vector<std::array<double, kSectors>> sectors(steps);
-  for (auto& slot : sectors) slot.fill(0.0);
-  for (const Place& place : places) {
-    if (place.arc_length >= occupied || place.distance < place.skin ||
-        place.distance > place.skin + kReach) {
-      continue;
-    }
-    const auto step = static_cast<std::size_t>(place.arc_length / kStep);
-    counts[step] += 1.0;
-    const double turn = (place.azimuth + M_PI) / (2.0 * M_PI);
-    sectors[step][std::min(static_cast<std::size_t>(turn * kSectors), kSectors - 1U)] += 1.0;
+  std::size_t seen = 0U;
+  for (std::size_t a = 0; a < kSectors; ++a) {
+    double count = 0.0;
+    for (std::size_t step = from; step < to; ++step) count += rings.sectors[step][a];
+    if (count > std::max(kSectorShare * points, kStray)) ++seen;
   }
+  return seen >= (points < kManyPoints ? kFewSectors : kLeastSectors);
+}
+
+double sumOf(const std::vector<double>& counts, std::size_t from, std::size_t to) {
+  return std::accumulate(counts.begin() + static_cast<std::ptrdiff_t>(from),
+                         counts.begin() + static_cast<std::ptrdiff_t>(to), 0.0);
+}
+
+/// Where the tassel's side branches begin: a bare stretch of stem below, and above it points all
+/// round. `occupied` if there is no such place near the end of the axis.
+double tasselBase(const std::vector<Place>& places, double occupied) {
+  constexpr std::size_t kWindow = 8U;          // steps compared
+  constexpr double kEmergence = 0.015;         // [m] of stem that branches need to leave its skin
+  constexpr double kLongest = 0.55;            // [m] of a tassel
+  constexpr double kLeastStem = 0.6;           // of stem and tassel together
+  constexpr double kShortest = 0.13;           // [m] of a tassel
+  constexpr std::size_t kBranchedSteps = 16U;  // that side branches come out of the skin in
+  constexpr double kMostBeyond = 0.35;         // points above them, of what the branches show
+  constexpr double kSamePlace = 0.10;          // [m]
+  constexpr double kLeastContrast = 2.5;
+  constexpr double kLeastPoints = 6.0;
+  const Rings rings = countRings(places, occupied);
+  const std::size_t steps = rings.counts.size();
   // From the top down: the last such place is the tassel's, those below are ears' and leaves'.
   double best = kLeastContrast;
   double base = occupied;
   for (std::size_t k = steps - std::min(steps, kWindow); k >= kWindow; --k) {
-    const double at = static_cast<double>(k) * kStep;
+    const double at = static_cast<double>(k) * kRingStep;
     if (at > occupied - kShortest) continue;
-    constexpr double kSamePlace = 0.10;  // [m]
-    if (at < std::max(occupied - kLongest, kLeastStem * occupied) ||
-        (best > kLeastContrast && at < base - kSamePlace))
-      break;
-    double below = 0.0;
-    double above = 0.0;
-    std::array<double, kSectors> seen{};
-    for (std::size_t j = 0; j < kWindow; ++j) {
-      below += counts[k - 1U - j];
-      above += counts[k + j];
-      for (std::size_t a = 0; a < kSectors; ++a) seen[a] += sectors[k + j][a];
-    }
-    const auto all_round =
-        static_cast<std::size_t>(std::count_if(seen.begin(), seen.end(), [&](double count) {
-          return count > std::max(kSectorShare * above, kStray);
-        }));
-    if (above < kLeastPoints) continue;
-    if (all_round < (above < kManyPoints ? kFewSectors : kLeastSectors)) continue;
+    if (at < std::max(occupied - kLongest, kLeastStem * occupied)) break;
+    if (best > kLeastContrast && at < base - kSamePlace) break;
+    const double below = sumOf(rings.counts, k - kWindow, k);
+    const double above = sumOf(rings.counts, k, k + kWindow);
+    if (above < kLeastPoints || !branchesAllRound(rings, k, k + kWindow, above)) continue;
     // Beyond its branches the tassel is a bare spike; leaves go on.
     double most_beyond = 0.0;
     for (std::size_t j = k + kBranchedSteps; j + kWindow <= steps; ++j) {
-      most_beyond =
-          std::max(most_beyond,
-                   std::accumulate(counts.begin() + static_cast<std::ptrdiff_t>(j),
-                                   counts.begin() + static_cast<std::ptrdiff_t>(j + kWindow), 0.0));
+      most_beyond = std::max(most_beyond, sumOf(rings.counts, j, j + kWindow));
     }
-    constexpr double kMostBeyond = 0.35;  // of what the branches show
     if (most_beyond > kMostBeyond * above) continue;
     const double contrast = (above + 1.0) / (below + 1.0);
     if (contrast <= best) continue;
@@ -170,7 +209,14 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
 float findStemTop(const std::vector<Eigen::Vector3f>& points,
                   const std::vector<std::uint32_t>& members, const Midline& midline) {
   const std::vector<Place> places = placesOf(points, members, midline);
-  const double occupied = occupiedLength(places, static_cast<double>(midline.axis.length()));
+  const double length = static_cast<double>(midline.axis.length());
+  const double occupied = occupiedLength(places, length);
+  if (opensAsWhorl(places, occupied)) {
+    // The young leaves clasp one another above the stem's end until they have left its core.
+    constexpr double kClasp = 3.0;  // radii
+    const double radius = static_cast<double>(midline.axis.radiusAt(static_cast<float>(occupied)));
+    return static_cast<float>(occupied - std::min(kClasp * radius, 0.5 * occupied));
+  }
   return static_cast<float>(tasselBase(places, occupied));
 }
 

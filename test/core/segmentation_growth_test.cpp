@@ -531,9 +531,16 @@ const StemAxis& maizeStem() {
   return axis;
 }
 
+TEST(MidlinePruning, NothingBeyondTheStemsEnd) {
+  const Points points{{0.01F, 0.0F, 0.9F}, {0.01F, 0.0F, 0.99F}, {0.01F, 0.0F, 1.02F}};
+  const auto kept = pruneByMidline(points, allOf(points), verticalAxis(1.0F, 0.01F), 2.2F);
+  EXPECT_EQ(kept, (std::vector<std::uint32_t>{0U, 1U}));
+}
+
 TEST(Midline, WholeStemAllRound) {
   const Points points = surfaceOf(maizeStem(), 3000U, 0.002, 2.0 * M_PI, 8U);
-  const Midline midline = fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.006F), 0.03F);
+  const Midline midline =
+      fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.006F), 0.03F, 2.0F);
   const MidlineError error = errorOf(midline, maizeStem());
   EXPECT_LT(error.center, 0.002);
   EXPECT_LT(error.radius, 0.0012);
@@ -542,7 +549,8 @@ TEST(Midline, WholeStemAllRound) {
 
 TEST(Midline, HalfSeen) {
   const Points points = surfaceOf(maizeStem(), 2500U, 0.002, M_PI, 9U);
-  const Midline midline = fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.004F), 0.03F);
+  const Midline midline =
+      fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.004F), 0.03F, 2.0F);
   const MidlineError error = errorOf(midline, maizeStem());
   EXPECT_LT(error.center, 0.005);
   EXPECT_LT(error.radius, 0.004);
@@ -562,7 +570,8 @@ TEST(Midline, AmongLeafPointsAndWithAGap) {
       points.emplace_back(insertion + Eigen::Vector3f(0.01F + t, 0.02F * unit(random), 1.5F * t));
     }
   }
-  const Midline midline = fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.005F), 0.03F);
+  const Midline midline =
+      fitMidline(points, allOf(points), roughPrior(maizeStem(), 0.005F), 0.03F, 2.0F);
   const MidlineError error = errorOf(midline, maizeStem());
   EXPECT_LT(error.center, 0.005);
   EXPECT_LT(error.radius, 0.003);
@@ -572,12 +581,44 @@ TEST(Midline, TooFewPointsGiveThePriorBack) {
   const StemAxis prior = roughPrior(maizeStem(), 0.0F);
   for (const std::size_t count : {0U, 1U, 3U}) {
     const Points points = surfaceOf(maizeStem(), count, 0.001, 2.0 * M_PI, 12U);
-    const Midline midline = fitMidline(points, allOf(points), prior, 0.03F);
+    const Midline midline = fitMidline(points, allOf(points), prior, 0.03F, 2.0F);
     ASSERT_FALSE(midline.axis.empty());
     for (float s = 0.0F; s < prior.length(); s += 0.2F) {
       EXPECT_LT((midline.axis.project(prior.pointAt(s))).distance, 0.001F);
     }
     EXPECT_TRUE(std::isfinite(midline.spread));
+  }
+}
+
+/// A blade 2 cm wide that leaves the axis x = y = 0 at `start`, straight, `lean` from vertical.
+void addBlade(Points& points, float start, float length, float lean, float azimuth, int count,
+              unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<float> unit(0.0F, 1.0F);
+  const Eigen::Vector3f out(std::cos(azimuth), std::sin(azimuth), 0.0F);
+  const Eigen::Vector3f side(-out.y(), out.x(), 0.0F);
+  for (int k = 0; k < count; ++k) {
+    const float t = length * unit(random);
+    points.emplace_back((0.005F + t * std::sin(lean)) * out + 0.02F * (unit(random) - 0.5F) * side +
+                        Eigen::Vector3f(0.0F, 0.0F, start + t * std::cos(lean)));
+  }
+}
+
+TEST(Midline, SeedlingWhoseLeavesShowMoreThanItsStem) {
+  for (const unsigned seed : {31U, 32U, 33U}) {
+    const StemAxis stem = verticalAxis(0.16F, 0.005F);
+    Points points = surfaceOf(stem, 90U, 0.002, 2.0 * M_PI, seed);
+    addBlade(points, 0.06F, 0.15F, 0.8F, 1.0F, 60, seed);
+    addBlade(points, 0.12F, 0.25F, 0.35F, 4.1F, 120, seed + 10U);
+    addBlade(points, 0.16F, 0.25F, 0.25F, 1.0F, 150, seed + 20U);
+    // The prior follows the highest leaf, and misses the foot.
+    const StemAxis prior({{{-0.02F, -0.03F, 0.0F}, 0.015F}, {{0.03F, 0.045F, 0.40F}, 0.015F}});
+    const Midline midline = fitMidline(points, allOf(points), prior, 0.03F, 0.4F);
+    for (const float z : {0.02F, 0.06F, 0.10F}) {
+      const StemAxis::Projection at = midline.axis.project({0.0F, 0.0F, z});
+      EXPECT_LT(at.distance, 0.006F) << "seed " << seed << ", height " << z;
+      EXPECT_LT(at.radius, 0.008F) << "seed " << seed << ", height " << z;
+    }
   }
 }
 
@@ -632,6 +673,22 @@ TEST(StemTop, WhereTheWhorlOpens) {
     midline.axis = verticalAxis(1.1F, 0.01F);
     midline.spread = 0.002F;
     EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.7F, 0.06F) << "seed " << seed;
+  }
+}
+
+TEST(StemTop, LeavesAllRoundAnOpenWhorlAreNoTassel) {
+  // The last leaves come out of the stem all round above a bare stretch, as a tassel's branches do.
+  for (const unsigned seed : {21U, 22U, 23U}) {
+    Points points = surfaceOf(verticalAxis(0.7F, 0.01F), 600U, 0.002, 2.0 * M_PI, seed);
+    for (int leaf = 0; leaf < 6; ++leaf) {
+      const auto k = static_cast<float>(leaf);
+      addBlade(points, 0.54F + 0.03F * k, 0.5F, 0.25F, 2.4F * k, 250,
+               seed + 10U * static_cast<unsigned>(leaf));
+    }
+    Midline midline;
+    midline.axis = verticalAxis(1.0F, 0.01F);
+    midline.spread = 0.002F;
+    EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.7F, 0.07F) << "seed " << seed;
   }
 }
 

@@ -28,10 +28,11 @@ struct Midline {
 /// @param members    indices of the points round the stem (leaf points among them are survived)
 /// @param prior      rough axis; its ends are the midline's
 /// @param max_radius thickest stem that is believed [m]
-/// Gives back the prior where there are too few points. Thread-safe; deterministic.
+/// @param plant_height about how high the plant is [m]: its stem is slender, and a seedling's is
+/// short Gives back the prior where there are too few points. Thread-safe; deterministic.
 Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
                    const std::vector<std::uint32_t>& members, const StemAxis& prior,
-                   float max_radius);
+                   float max_radius, float plant_height);
 
 /// Removes over-segmented points (2.4.2, Steps 2-4): those farther from the midline than `factor`
 /// times the median distance of their height band (Eq 16). Keeps the order.
