@@ -310,7 +310,7 @@ std::vector<std::size_t> StemSelection::stemsAmong(
     constexpr float kGood = 0.3F;
     if (merits[c] >= kGood * merits[distinct.front()]) good.push_back(merits[c]);
   }
-  const float usual = good[good.size() / 2U];
+  const float usual = good[(good.size() - 1U) / 2U];  // best first: the better one of two
   constexpr float kLeastShare = 0.25F;
   std::vector<std::size_t> stems;
   for (const std::size_t c : distinct) {
