@@ -269,6 +269,11 @@ PlantPhenotype toMessage(const Phenotype& plant) {
   message.diameter_points = plant.diameter_points;
   message.synthetic_points = plant.synthetic_points;
   message.segmentation_quality = plant.segmentation_quality;
+  message.growth_iterations = plant.growth_iterations;
+  message.growth_r1 = plant.growth_r1;
+  message.growth_M = plant.growth_M;
+  message.growth_alpha = plant.growth_alpha;
+  message.growth_beta = plant.growth_beta;
   message.flags = plant.flags;
   return message;
 }
@@ -296,6 +301,11 @@ Phenotype fromMessage(const PlantPhenotype& message) {
   plant.diameter_points = message.diameter_points;
   plant.synthetic_points = message.synthetic_points;
   plant.segmentation_quality = message.segmentation_quality;
+  plant.growth_iterations = message.growth_iterations;
+  plant.growth_r1 = message.growth_r1;
+  plant.growth_M = message.growth_M;
+  plant.growth_alpha = message.growth_alpha;
+  plant.growth_beta = message.growth_beta;
   plant.flags = message.flags;
   return plant;
 }

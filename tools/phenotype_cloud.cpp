@@ -25,6 +25,7 @@ struct Options {
   std::string device = "auto";
   std::vector<std::string> assignments;
   int threads = 0;
+  bool debug = false;
 };
 
 void writeTiming(const std::string& path, const PipelineResult& result) {
@@ -37,6 +38,26 @@ void writeTiming(const std::string& path, const PipelineResult& result) {
   if (!file.flush()) {
     throw std::runtime_error(path +
                              " cannot be written; is the disk full or the folder read-only?");
+  }
+}
+
+/// What the segmenter decided; without --debug, files of an earlier run are taken away, for they
+/// tell of other plants.
+void writeDebug(const Options& options, const PipelineResult& result) {
+  const std::string plants = options.output + "/growth.csv";
+  const std::string regions = options.output + "/growth_regions.csv";
+  if (options.debug) {
+    writeGrowthCsv(plants, result.blocks);
+    writeGrowthRegionsCsv(regions, result.blocks);
+    return;
+  }
+  for (const std::string& path : {plants, regions}) {
+    std::error_code failure;
+    std::filesystem::remove(path, failure);
+    if (failure) {
+      throw std::runtime_error(
+          path + ": is of an earlier run and cannot be removed: " + failure.message());
+    }
   }
 }
 
@@ -73,6 +94,7 @@ void run(const Options& options) {
   writeLabels(options.output + "/labels.pcd", input, result.labels);
   writeCompleted(options.output + "/completed.pcd", input, result);
   writeTiming(options.output + "/timing.json", result);
+  writeDebug(options, result);
   progress.update("writing", 1.0);
 
   std::printf("%zu plants in %zu points (%zu of them on plants) -> %s\n", result.plants.size(),
@@ -108,6 +130,9 @@ int main(int argc, char** argv) {
   app.add_option("--threads", options.threads, "Threads to use; 0: all cores")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str();
+  app.add_flag("--debug", options.debug,
+               "Also write what the segmenter decided: growth.csv (one row a plant) and "
+               "growth_regions.csv (one row a region of its stem), for plot_growth");
   app.add_flag_callback(
       "--list-parameters",
       [] {

@@ -1,5 +1,6 @@
 #include "phenotype_files.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
@@ -47,6 +48,63 @@ void visitColumns(const Phenotype& p, Visitor&& visit) {
   visit("final", p.final);
 }
 
+/// A plant as growth.csv has it.
+struct GrownPlant {
+  std::int32_t id = -1;
+  Eigen::Vector3d base = Eigen::Vector3d::Zero();  ///< map frame [m]
+  GrowthSummary growth;
+  std::uint32_t stem_points = 0U;
+};
+
+/// The same of every column of growth.csv.
+template <class Visitor>
+void visitColumns(const GrownPlant& p, Visitor&& visit) {
+  const auto count = [&](bool RegionSummary::*property) {
+    return std::count_if(p.growth.regions.begin(), p.growth.regions.end(),
+                         [&](const RegionSummary& region) { return region.*property; });
+  };
+  visit("plant_id", p.id);
+  visit("x", p.base.x());
+  visit("y", p.base.y());
+  visit("z", p.base.z());
+  visit("quality", static_cast<double>(p.growth.quality));
+  visit("iterations", p.growth.iterations);
+  visit("r1", static_cast<double>(p.growth.r1));
+  visit("M", static_cast<double>(p.growth.M));
+  visit("alpha", static_cast<double>(p.growth.alpha));
+  visit("beta", static_cast<double>(p.growth.beta));
+  visit("regions", p.growth.regions.size());
+  visit("branchings", count(&RegionSummary::branching));
+  visit("merged_regions", count(&RegionSummary::merged));
+  visit("stem_points", p.stem_points);
+}
+
+/// A region as growth_regions.csv has it.
+struct PlacedRegion {
+  std::int32_t plant_id = -1;
+  std::size_t number = 0U;                          ///< from the base up
+  Eigen::Vector3d start = Eigen::Vector3d::Zero();  ///< map frame [m]
+  Eigen::Vector3d end = Eigen::Vector3d::Zero();
+  RegionSummary summary;
+};
+
+/// The same of every column of growth_regions.csv.
+template <class Visitor>
+void visitColumns(const PlacedRegion& r, Visitor&& visit) {
+  visit("plant_id", r.plant_id);
+  visit("region", r.number);
+  visit("start_x", r.start.x());
+  visit("start_y", r.start.y());
+  visit("start_z", r.start.z());
+  visit("end_x", r.end.x());
+  visit("end_y", r.end.y());
+  visit("end_z", r.end.z());
+  visit("M", static_cast<double>(r.summary.M));
+  visit("branching", r.summary.branching);
+  visit("merged", r.summary.merged);
+  visit("points", r.summary.points);
+}
+
 std::string cell(double value) {
   if (!std::isfinite(value)) return "nan";
   char text[64];
@@ -87,23 +145,73 @@ void replaceFile(const std::string& path, const std::string& content) {
   if (error) throw std::runtime_error("cannot write " + path + ": " + error.message());
 }
 
-}  // namespace
-
-void writePhenotypeCsv(const std::string& path, const std::vector<Phenotype>& plants) {
+template <class Row>
+void writeCsv(const std::string& path, const std::vector<Row>& rows) {
   std::string text;
-  visitColumns(Phenotype(), [&](const char* name, const auto&) {
+  visitColumns(Row(), [&](const char* name, const auto&) {
     text += (text.empty() ? "" : ",") + std::string(name);
   });
   text += "\n";
-  for (const Phenotype& plant : plants) {
+  for (const Row& row : rows) {
     const char* separator = "";
-    visitColumns(plant, [&](const char*, const auto& value) {
+    visitColumns(row, [&](const char*, const auto& value) {
       text += separator + cell(value);
       separator = ",";
     });
     text += "\n";
   }
   replaceFile(path, text);
+}
+
+/// A plant that its block reports, and the origin of the block's local frame.
+struct OwnedPlant {
+  const Plant* plant;
+  Eigen::Vector3d origin;
+
+  Eigen::Vector3d inMap(const Eigen::Vector3f& p) const { return origin + p.cast<double>(); }
+};
+
+/// In the order of their ids, as plants.csv has them.
+std::vector<OwnedPlant> ownedPlants(
+    const std::vector<std::shared_ptr<const CompletedBlock>>& blocks) {
+  std::vector<OwnedPlant> owned;
+  for (const auto& block : blocks) {
+    for (const Plant& plant : block->segmented->plants) {
+      if (plant.owned) owned.push_back({&plant, block->segmented->cloud.origin});
+    }
+  }
+  std::sort(owned.begin(), owned.end(),
+            [](const OwnedPlant& a, const OwnedPlant& b) { return a.plant->id < b.plant->id; });
+  return owned;
+}
+
+}  // namespace
+
+void writePhenotypeCsv(const std::string& path, const std::vector<Phenotype>& plants) {
+  writeCsv(path, plants);
+}
+
+void writeGrowthCsv(const std::string& path,
+                    const std::vector<std::shared_ptr<const CompletedBlock>>& blocks) {
+  std::vector<GrownPlant> rows;
+  for (const OwnedPlant& owned : ownedPlants(blocks)) {
+    const Plant& plant = *owned.plant;
+    rows.push_back({plant.id, owned.inMap(plant.base), plant.growth, plant.stem.size()});
+  }
+  writeCsv(path, rows);
+}
+
+void writeGrowthRegionsCsv(const std::string& path,
+                           const std::vector<std::shared_ptr<const CompletedBlock>>& blocks) {
+  std::vector<PlacedRegion> rows;
+  for (const OwnedPlant& owned : ownedPlants(blocks)) {
+    const std::vector<RegionSummary>& regions = owned.plant->growth.regions;
+    for (std::size_t r = 0; r < regions.size(); ++r) {
+      rows.push_back({owned.plant->id, r, owned.inMap(regions[r].start),
+                      owned.inMap(regions[r].end), regions[r]});
+    }
+  }
+  writeCsv(path, rows);
 }
 
 void writePhenotypeGeoJson(const std::string& path, const std::vector<Phenotype>& plants,

@@ -1,8 +1,10 @@
 #pragma once
 
+#include <memory>
 #include <string>
 #include <vector>
 
+#include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
 
 // The files that people take the plants from. Shared by every program that writes them.
@@ -21,5 +23,17 @@ void writePhenotypeCsv(const std::string& path, const std::vector<Phenotype>& pl
 /// @throws std::runtime_error naming the file and the cause
 void writePhenotypeGeoJson(const std::string& path, const std::vector<Phenotype>& plants,
                            const std::string& frame_id = "map");
+
+/// Writes how the stem of each reported plant was grown: a header row, then one row a plant in the
+/// order of their ids; metres, map frame. As safe for readers as writePhenotypeCsv().
+/// @throws std::runtime_error naming the file and the cause
+void writeGrowthCsv(const std::string& path,
+                    const std::vector<std::shared_ptr<const CompletedBlock>>& blocks);
+
+/// Writes the regions that these stems were grown in: a header row, then one row a region, plant by
+/// plant and from the base up, numbered from 0; metres, map frame. As safe as writePhenotypeCsv().
+/// @throws std::runtime_error naming the file and the cause
+void writeGrowthRegionsCsv(const std::string& path,
+                           const std::vector<std::shared_ptr<const CompletedBlock>>& blocks);
 
 }  // namespace field_phenotyping

@@ -68,6 +68,17 @@ def ids(table, column, path):
     return values
 
 
+def id_list(values):
+    """Ids for people: 'ids 1 to 4, 7', or 'none'."""
+    values = np.unique(np.asarray(values, np.int64))
+    if values.size == 0:
+        return 'none'
+    runs = np.split(values, np.flatnonzero(np.diff(values) > 1) + 1)
+    return 'ids ' + ', '.join(
+        str(run[0]) if len(run) == 1 else '{} to {}'.format(run[0], run[-1]) for run in runs
+    )
+
+
 def column_or_nan(table, name, size):
     """A numeric column, or NaNs where the table does not have it."""
     column = table.get(name)

@@ -61,6 +61,11 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index, const
     phenotype.synthetic_points = completed.synthetic_span[index].size();
   }
   phenotype.segmentation_quality = plant.growth.quality;
+  phenotype.growth_iterations = plant.growth.iterations;
+  phenotype.growth_r1 = plant.growth.r1;
+  phenotype.growth_M = plant.growth.M;
+  phenotype.growth_alpha = plant.growth.alpha;
+  phenotype.growth_beta = plant.growth.beta;
   phenotype.flags = height.flags | diameter.flags;
   if (reachesBorder(block, plant)) phenotype.flags |= kTruncated;
   if (plant.growth.quality < parameters.min_quality) phenotype.flags |= kLowConfidence;

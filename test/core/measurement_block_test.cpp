@@ -286,6 +286,24 @@ TEST(Measurement, PlantWithoutStemOrPointsIsReportedEmpty) {
   EXPECT_TRUE(p.flags & kLowConfidence);
 }
 
+TEST(Measurement, SaysHowTheStemWasGrown) {
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(PlantTruth(), 12U);
+  GrowthSummary& growth = builder.block().plants[0].growth;
+  growth.iterations = 3U;
+  growth.r1 = 0.05F;
+  growth.M = 0.45F;
+  growth.alpha = 0.25F;
+  growth.beta = 0.85F;
+  const Phenotype p = measureOne(builder);
+  EXPECT_EQ(p.segmentation_quality, 0.9F);
+  EXPECT_EQ(p.growth_iterations, 3U);
+  EXPECT_EQ(p.growth_r1, 0.05F);
+  EXPECT_EQ(p.growth_M, 0.45F);
+  EXPECT_EQ(p.growth_alpha, 0.25F);
+  EXPECT_EQ(p.growth_beta, 0.85F);
+}
+
 TEST(Measurement, HiddenMeasuringHeightIsShiftedAndSaysSo) {
   PlantTruth truth;
   truth.gap_low = 0.45;

@@ -28,6 +28,15 @@ COLUMNS = (
 ).split(',')
 
 
+GROWTH_COLUMNS = (
+    'plant_id,x,y,z,quality,iterations,r1,M,alpha,beta,regions,branchings,merged_regions,'
+    'stem_points'
+).split(',')
+REGION_COLUMNS = (
+    'plant_id,region,start_x,start_y,start_z,end_x,end_y,end_z,M,branching,merged,points'
+).split(',')
+
+
 class FieldTest(ProgramTest):
     def setUp(self):
         super().setUp()
@@ -131,12 +140,59 @@ class Output(FieldTest):
             self.assertEqual(len(measured), int(row['stem_points']))
             self.assertEqual(len(of_plant) - len(measured), int(row['synthetic_points']))
 
+    def test_debug_says_how_every_stem_was_grown(self):
+        shift = np.array([500000.0, 4500000.0, 90.0])
+        cloud = as_cloud(self.positions.astype('f4').astype('f8') + shift, 'f8')
+        write_pcd(self.field, cloud)
+        out = self.path('run')
+        self.assert_done(self.measure(self.field, '-o', out, '--debug'))
+        plants, _ = read_table(os.path.join(out, 'plants.csv'))
+        growth, header = read_table(os.path.join(out, 'growth.csv'))
+        self.assertEqual(header, GROWTH_COLUMNS)
+        regions, header = read_table(os.path.join(out, 'growth_regions.csv'))
+        self.assertEqual(header, REGION_COLUMNS)
+        self.assertEqual(
+            [row['plant_id'] for row in growth], [row['plant_id'] for row in plants]
+        )
+        for plant, row in zip(plants, growth):
+            for name in ('x', 'y', 'z', 'stem_points'):
+                self.assertEqual(row[name], plant[name])
+            self.assertEqual(row['quality'], plant['segmentation_quality'])
+            self.assertGreaterEqual(int(row['iterations']), 1)
+            self.assertAlmostEqual(float(row['r1']), 0.04, delta=0.04)
+            own = [region for region in regions if region['plant_id'] == row['plant_id']]
+            self.assertEqual([int(region['region']) for region in own], list(range(len(own))))
+            self.assertEqual(int(row['regions']), len(own))
+            self.assertGreater(len(own), 1)
+            for name, total in (('branching', 'branchings'), ('merged', 'merged_regions')):
+                self.assertEqual(sum(int(region[name]) for region in own), int(row[total]))
+            base = np.array([float(row[axis]) for axis in 'xyz'])
+            for region in own:
+                start, end = (
+                    np.array([float(region[end + '_' + axis]) for axis in 'xyz'])
+                    for end in ('start', 'end')
+                )
+                self.assertLess(np.linalg.norm((start - base)[:2]), 0.03)
+                self.assertGreater(end[2], start[2])
+                self.assertLess(end[2] - base[2], PLANT_HEIGHT + 0.05)
+                self.assertGreater(float(region['M']), 0.0)
+                self.assertLess(float(region['M']), 1.0)
+
+    def test_debug_files_of_an_earlier_run_are_not_left(self):
+        out = self.path('run')
+        self.assert_done(self.measure(self.field, '-o', out, '--debug'))
+        self.assertTrue(os.path.exists(os.path.join(out, 'growth.csv')))
+        self.assert_done(self.measure(self.field, '-o', out))
+        self.assertEqual([name for name in os.listdir(out) if 'growth' in name], [])
+
     def test_same_bytes_on_one_thread_and_two(self):
         for threads in (1, 2):
+            out = self.path(str(threads))
             self.assert_done(
-                self.measure(self.field, '-o', self.path(str(threads)), '--threads', threads)
+                self.measure(self.field, '-o', out, '--debug', '--threads', threads)
             )
         names = sorted(os.listdir(self.path('1')))
+        self.assertIn('growth_regions.csv', names)
         self.assertEqual(names, sorted(os.listdir(self.path('2'))))
         for name in names:
             if name != 'timing.json':
@@ -330,6 +386,11 @@ class BadOutput(FieldTest):
             out = self.path('blocked_' + name)
             os.makedirs(os.path.join(out, name, 'in the way'))
             self.assert_refused(self.measure(self.field, '-o', out), name)
+        for name in ('growth.csv', 'growth_regions.csv'):
+            out = self.path('blocked_' + name)
+            os.makedirs(os.path.join(out, name, 'in the way'))
+            self.assert_refused(self.measure(self.field, '-o', out, '--debug'), name)
+            self.assert_refused(self.measure(self.field, '-o', out), name)
 
     def test_said_before_the_work(self):
         self.assert_refused(self.measure(self.field, '-o', os.path.join(self.field, 'out')))
@@ -339,7 +400,9 @@ class BadOutput(FieldTest):
 class Options(FieldTest):
     def test_help(self):
         said = self.assert_done(self.measure('--help'))
-        for word in ('--output', '--config', '--set', '--device', '--threads', '.pcd', '.ply'):
+        for word in ('--output', '--config', '--set', '--device', '--threads', '--debug'):
+            self.assertIn(word, said)
+        for word in ('.pcd', '.ply', 'growth.csv', 'growth_regions.csv'):
             self.assertIn(word, said)
         self.assertRegex(said, 'metres')
 

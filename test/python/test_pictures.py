@@ -85,7 +85,7 @@ class PlotField(support.FolderTest):
             self.assertIn(words, err)
         self.write_run(PLANTS, field())
         for words, arguments in (
-            ('has no plant 5; it has ids 4 to 9', ['--plant', '5']),
+            ('has no plant 5; it has ids 4, 9', ['--plant', '5']),
             ('Choose another place', ['--output', self.path('no', 'a.png')]),
             ('a name ending in .png', ['--output', self.path('a.docx')]),
         ):

@@ -263,6 +263,11 @@ Phenotype somePlant() {
   plant.diameter_points = 9U;
   plant.synthetic_points = 33U;
   plant.segmentation_quality = 0.5F;
+  plant.growth_iterations = 3U;
+  plant.growth_r1 = 0.05F;
+  plant.growth_M = 0.45F;
+  plant.growth_alpha = 0.25F;
+  plant.growth_beta = 0.85F;
   plant.flags = kArcBelow | kTruncated;
   return plant;
 }
@@ -312,6 +317,11 @@ TEST(Phenotypes, SurviveTheMessage) {
   EXPECT_EQ(p.diameter_points, expected.diameter_points);
   EXPECT_EQ(p.synthetic_points, expected.synthetic_points);
   EXPECT_EQ(p.segmentation_quality, expected.segmentation_quality);
+  EXPECT_EQ(p.growth_iterations, expected.growth_iterations);
+  EXPECT_EQ(p.growth_r1, expected.growth_r1);
+  EXPECT_EQ(p.growth_M, expected.growth_M);
+  EXPECT_EQ(p.growth_alpha, expected.growth_alpha);
+  EXPECT_EQ(p.growth_beta, expected.growth_beta);
   EXPECT_EQ(p.flags, expected.flags);
   // What was not measured stays NaN, in value and deviation.
   EXPECT_TRUE(std::isnan(plants[1].height.value));

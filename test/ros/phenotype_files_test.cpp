@@ -6,9 +6,12 @@
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <sstream>
 #include <string>
+#include <utility>
+#include <vector>
 
 namespace field_phenotyping {
 namespace {
@@ -97,6 +100,59 @@ TEST_F(PhenotypeFiles, ReplacesAnOlderFileAndLeavesNoOther) {
   const std::string text = read(file);
   EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), 1);
   EXPECT_EQ(std::distance(std::filesystem::directory_iterator(directory_), {}), 1);
+}
+
+/// Two blocks: plants 9 and 4, the second with two regions, and a neighbour's plant, which is not
+/// reported.
+std::vector<std::shared_ptr<const CompletedBlock>> grownBlocks() {
+  const auto block = [](std::vector<Plant> plants, const Eigen::Vector3d& origin) {
+    auto segmented = std::make_shared<SegmentedBlock>();
+    segmented->cloud.origin = origin;
+    segmented->plants = std::move(plants);
+    auto completed = std::make_shared<CompletedBlock>();
+    completed->segmented = std::move(segmented);
+    return std::shared_ptr<const CompletedBlock>(std::move(completed));
+  };
+  Plant bare;
+  bare.id = 9;
+  Plant neighbor;
+  neighbor.id = 4;
+  neighbor.owned = false;
+  Plant grown;
+  grown.id = 4;
+  grown.base = {1.0F, 2.0F, 0.5F};
+  grown.stem = {10U, 52U};
+  grown.growth = {0.75F, 3U, 0.05F, 0.45F, 0.25F, 0.85F, {}};
+  grown.growth.regions.push_back({{1.0F, 2.0F, 0.5F}, {1.0F, 2.0F, 1.0F}, 0.45F, false, true, 30U});
+  grown.growth.regions.push_back({{1.0F, 2.0F, 1.0F}, {1.0F, 2.25F, 2.0F}, 0.36F, true, false, 8U});
+  return {block({bare, neighbor}, Eigen::Vector3d::Zero()),
+          block({grown}, {448000.0, 5411000.0, 90.0})};
+}
+
+TEST_F(PhenotypeFiles, GrowthHasOneRowAReportedPlantInTheMapFrame) {
+  const auto file = directory_ / "growth.csv";
+  writeGrowthCsv(file, grownBlocks());
+  EXPECT_EQ(read(file),
+            "plant_id,x,y,z,quality,iterations,r1,M,alpha,beta,regions,branchings,merged_regions,"
+            "stem_points\n"
+            "4,448001.000000,5411002.000000,90.500000,0.750000,3,0.050000,0.450000,0.250000,"
+            "0.850000,2,1,1,42\n"
+            "9,0.000000,0.000000,0.000000,0.000000,0,0.000000,0.000000,0.000000,0.000000,0,0,0,"
+            "0\n");
+  writeGrowthCsv(file, {});
+  const std::string text = read(file);
+  EXPECT_EQ(std::count(text.begin(), text.end(), '\n'), 1);
+}
+
+TEST_F(PhenotypeFiles, GrowthRegionsHaveOneRowARegionFromTheBaseUp) {
+  const auto file = directory_ / "growth_regions.csv";
+  writeGrowthRegionsCsv(file, grownBlocks());
+  EXPECT_EQ(read(file),
+            "plant_id,region,start_x,start_y,start_z,end_x,end_y,end_z,M,branching,merged,points\n"
+            "4,0,448001.000000,5411002.000000,90.500000,448001.000000,5411002.000000,91.000000,"
+            "0.450000,0,1,30\n"
+            "4,1,448001.000000,5411002.000000,91.000000,448001.000000,5411002.250000,92.000000,"
+            "0.360000,1,0,8\n");
 }
 
 TEST_F(PhenotypeFiles, NamesTheFileThatCannotBeWritten) {

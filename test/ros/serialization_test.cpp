@@ -74,7 +74,7 @@ SegmentedBlock segmentedBlock() {
   plant.stem = {1U, 3U};
   plant.axis = StemAxis({{{0.0F, 0.0F, 0.0F}, 0.01F}, {{0.0F, 0.1F, 1.0F}, 0.008F}});
   plant.base = {0.1F, 0.2F, 0.3F};
-  plant.growth = {0.9F, 2U, 0.04F, 0.5F, 0.2F, 0.8F};
+  plant.growth = {0.9F, 2U, 0.04F, 0.5F, 0.2F, 0.8F, {RegionSummary()}};
   block.plants = {plant, plant};
   block.plants[1].id = -1;
   block.plants[1].points = block.plants[1].stem = {4U, 4U};
@@ -161,6 +161,13 @@ TEST(Wire, BringsABlockBackWhole) {
 
 TEST(Wire, BringsASegmentedBlockBackWhole) {
   expectSame(segmentedBlock(), overTheWire<SegmentedBlock, SegmentedBlock>(segmentedBlock()));
+}
+
+TEST(Wire, LeavesTheRegionsOfAStemsGrowthBehind) {
+  const SegmentedBlock sent = segmentedBlock();
+  ASSERT_EQ(sent.plants[0].growth.regions.size(), 1U);
+  const auto got = overTheWire<SegmentedBlock, SegmentedBlock>(sent);
+  EXPECT_TRUE(got.plants.at(0).growth.regions.empty());
 }
 
 TEST(Wire, BringsACompletedBlockBackWhole) {

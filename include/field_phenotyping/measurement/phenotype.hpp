@@ -51,9 +51,14 @@ struct Phenotype {
   double completeness = std::numeric_limits<double>::quiet_NaN();  ///< measured share of the stem
   std::uint32_t stem_points = 0U;
   std::uint32_t plant_points = 0U;
-  std::uint32_t diameter_points = 0U;   ///< that the diameter was fitted to
-  std::uint32_t synthetic_points = 0U;  ///< added by completion, used in no trait
-  float segmentation_quality = 0.0F;    ///< Q of Eq 9
+  std::uint32_t diameter_points = 0U;    ///< that the diameter was fitted to
+  std::uint32_t synthetic_points = 0U;   ///< added by completion, used in no trait
+  float segmentation_quality = 0.0F;     ///< Q of Eq 9
+  std::uint32_t growth_iterations = 0U;  ///< growths of the stem that it took (Step 4)
+  float growth_r1 = 0.0F;                ///< growth radius of the stem's best growth [m]
+  float growth_M = 0.0F;                 ///< its similarity threshold
+  float growth_alpha = 0.0F;             ///< its weights of Eq 2
+  float growth_beta = 0.0F;
   std::uint32_t flags = kOk;
 };
 

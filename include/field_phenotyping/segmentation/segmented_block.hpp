@@ -27,7 +27,9 @@ struct GrowthSummary {
   float M = 0.0F;   ///< similarity threshold; segments have a share of it
   float alpha = 0.0F;
   float beta = 0.0F;
-  std::vector<RegionSummary> regions;  ///< from the base up
+  /// From the base up. For people to look at: no stage reads them, and between processes they are
+  /// not sent, so that they are empty there.
+  std::vector<RegionSummary> regions;
 };
 
 /// One plant of a block.
