@@ -9,6 +9,7 @@
 #include <numeric>
 #include <queue>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 
@@ -91,28 +92,17 @@ struct Pieces {
 
 /// Joins touching cells that lie on one smooth ribbon. Where organs cross or touch, the cloud is
 /// neither thin nor straight, and no piece reaches into it.
-std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const NeighborGrid& grid) {
+std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const NeighborGrid& grid,
+                                          float noise) {
   constexpr float kMostCurvature = 0.04F;  // of a leaf among others, without noise
-  constexpr float kSmoothShare = 0.55F;    // of the cells are on a leaf alone, whatever the noise
+  constexpr float kNoiseCurvature = 3.0F;  // of a leaf, per its squared thickness
   constexpr float kLeastLinearity = 0.3F;
   constexpr std::uint32_t kLeastNeighbors = 6U;
   constexpr float kAlike = 0.94F;    // cosine of the largest bend from cell to cell
   constexpr float kOffset = 0.007F;  // [m] out of the ribbon
   // Noise thickens all leaves alike.
-  std::vector<float> curvatures;
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (cells.is_stem[n] == 0U && cells.shapes[n].neighbors >= kLeastNeighbors) {
-      curvatures.push_back(cells.shapes[n].curvature);
-    }
-  }
-  float most_curvature = kMostCurvature;
-  if (!curvatures.empty()) {
-    const auto limit =
-        curvatures.begin() +
-        static_cast<std::ptrdiff_t>(kSmoothShare * static_cast<float>(curvatures.size()));
-    std::nth_element(curvatures.begin(), limit, curvatures.end());
-    most_curvature = std::max(most_curvature, *limit);
-  }
+  const float thickness = noise / kShapeRadius;
+  const float most_curvature = kMostCurvature + kNoiseCurvature * thickness * thickness;
   std::vector<std::uint8_t> smooth(cells.size());
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     const LocalShape& shape = cells.shapes[n];
@@ -248,10 +238,10 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
 }
 
 /// Pieces of leaves; their cells get the shape of the piece alone.
-Pieces findPieces(Cells& cells) {
+Pieces findPieces(Cells& cells, float noise) {
   const NeighborGrid grid(cells.centers, kShapeRadius);
   Pieces pieces;
-  pieces.of_cell = joinSmoothCells(cells, grid);
+  pieces.of_cell = joinSmoothCells(cells, grid, noise);
   growPieces(cells, grid, pieces.of_cell);
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     const std::int32_t piece = pieces.of_cell[n];
@@ -605,6 +595,20 @@ void growPaths(Cells& cells, const GroundModel& ground, const std::vector<StemAx
   }
 }
 
+/// Standard deviation of the points across a surface [m], which the stems show.
+float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
+              const std::vector<std::int32_t>& owner) {
+  constexpr float kNormal = 1.4826F;  // standard deviation of a median absolute deviation
+  std::vector<float> off;
+  for (std::size_t i = 0; i < owner.size(); ++i) {
+    if (owner[i] < 0) continue;
+    const StemAxis::Projection at =
+        axes[static_cast<std::size_t>(owner[i])].project(block.cloud.points[i]);
+    off.push_back(std::abs(at.distance - at.radius));
+  }
+  return off.empty() ? 0.0F : kNormal * medianOf(off);
+}
+
 }  // namespace
 
 std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
@@ -613,7 +617,7 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   if (block.cloud.empty()) return owner;
   const auto reach = static_cast<float>(parameters.organ_reach);
   Cells cells = gatherCells(block, owner);
-  const Pieces pieces = findPieces(cells);
+  const Pieces pieces = findPieces(cells, noiseOf(block, axes, owner));
   const std::vector<std::vector<Link>> links =
       linkPieces(cells, pieces, block.ground, 1.3F * reach);
   // First with leaves as they usually are, then with what that shows of these ones.
