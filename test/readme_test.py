@@ -73,7 +73,15 @@ class ReadmeTest(unittest.TestCase):
             self.assertEqual(found[2], parameter_table(stage, said), 'run this with --update')
             self.assertGreater(found[2].count('\n'), 5)
 
-    def test_every_column_of_plants_csv_is_explained(self):
+    def test_every_column_is_explained(self):
+        text = read('README.md')
+        growth = text.split('### What the segmenter decided')[1].split('\n#')[0]
+        plants, regions = growth.split('`growth_regions.csv` one row a region')
+        tables = {
+            'plants.csv': text.split('### plants.csv')[1].split('\n#')[0],
+            'growth.csv': plants,
+            'growth_regions.csv': regions,
+        }
         with tempfile.TemporaryDirectory() as folder:
             cloud = os.path.join(folder, 'cloud.pcd')
             with open(cloud, 'w') as file:
@@ -81,13 +89,13 @@ class ReadmeTest(unittest.TestCase):
                     'VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 4\n'
                     'HEIGHT 1\nPOINTS 4\nDATA ascii\n0 0 0\n1 0 0\n0 1 0\n1 1 0\n'
                 )
-            subprocess.check_output([PHENOTYPE_CLOUD, cloud, '--output', folder])
-            with open(os.path.join(folder, 'plants.csv')) as table:
-                columns = table.readline().strip().split(',')
-        table = read('README.md').split('### plants.csv')[1].split('\n#')[0]
-        first_cells = re.findall(r'^\| (`.*?) \|', table, re.MULTILINE)
-        explained = [name for cell in first_cells for name in re.findall(r'`(\w+)`', cell)]
-        self.assertEqual(sorted(columns), sorted(explained))
+            subprocess.check_output([PHENOTYPE_CLOUD, cloud, '--output', folder, '--debug'])
+            for name, said in tables.items():
+                with open(os.path.join(folder, name)) as table:
+                    columns = table.readline().strip().split(',')
+                first_cells = re.findall(r'^\| (`.*?) \|', said, re.MULTILINE)
+                explained = [word for cell in first_cells for word in re.findall(r'`(\w+)`', cell)]
+                self.assertEqual(sorted(columns), sorted(explained), name)
 
     def test_every_quality_flag_is_explained(self):
         flags = re.findall(

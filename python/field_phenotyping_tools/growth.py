@@ -37,6 +37,12 @@ class Growth:
 
 def read_growth(folder, plant):
     """The Growth of a plant of a run folder. Raises InputError."""
+    if not os.path.isdir(folder):
+        raise InputError(
+            'No run folder {}. Make one with phenotype_cloud --output {} --debug.'.format(
+                folder, folder
+            )
+        )
     path = _path(folder, 'growth.csv')
     table = tables.read_table(path, ('plant_id',) + _BASE + SUMMARY)
     ids = tables.ids(table, 'plant_id', path)
