@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
+
+#include "field_phenotyping/common/median.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -137,9 +140,7 @@ double medianDensity(const SurfaceIndex& measured, const std::vector<SurfacePosi
     densities.push_back(static_cast<double>(kDensityNeighbors) /
                         (kPi * std::max(squared_reach, 1e-12)));
   }
-  const auto middle = densities.begin() + static_cast<std::ptrdiff_t>(densities.size() / 2);
-  std::nth_element(densities.begin(), middle, densities.end());
-  return *middle;
+  return medianOf(std::move(densities));
 }
 
 std::vector<GapRegion> findGaps(const SurfaceIndex& measured, const FillRange& range,

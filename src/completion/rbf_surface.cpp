@@ -6,6 +6,8 @@
 #include <map>
 #include <utility>
 
+#include "field_phenotyping/common/median.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -23,12 +25,6 @@ double kernel(double squared_distance, double kernel_width, double weight_a, dou
   const double overlap = std::sqrt(weight_a * weight_b) / mean_weight;
   return overlap * std::sqrt(overlap) *
          std::exp(-squared_distance / (kernel_width * kernel_width * mean_weight));
-}
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 /// Area per centre, 1 / rho = pi r_k^2 / k [m^2].
@@ -101,7 +97,7 @@ RbfSurface::RbfSurface(const std::vector<SurfaceSample>& centers, double radius,
     signal += center.value * center.value - options.noise * options.noise / center.weight;
   }
   const auto count = static_cast<Eigen::Index>(centers.size());
-  mean_area_ = std::max(median(areas), kMinSpacing * kMinSpacing);
+  mean_area_ = std::max(medianOf(areas), kMinSpacing * kMinSpacing);
   kernel_width_ = options.kernel_scale * std::sqrt(mean_area_);
   amplitude_ = std::sqrt(
       std::max(signal / static_cast<double>(centers.size()), kMinAmplitude * kMinAmplitude));

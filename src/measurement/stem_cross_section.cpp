@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/measurement/ellipse_fit.hpp"
 #include "field_phenotyping/measurement/rice_distribution.hpp"
 #include "field_phenotyping/measurement/stem_coverage.hpp"
@@ -376,12 +377,6 @@ class CrossSectionSolver {
   double outlier_share_ = 0.1;
   double fitted_ = 0.0;  // parameters that the points, not the priors, decide
 };
-
-double medianOf(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// A circle round `center` through the middle of the points.
 Parameters circleStart(const std::vector<Eigen::Vector3d>& points, const Eigen::Vector2d& center,

@@ -1,7 +1,9 @@
 #include "field_phenotyping/preprocessing/outlier_filter.hpp"
 
 #include <algorithm>
+#include <utility>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 
 namespace field_phenotyping {
@@ -20,9 +22,7 @@ int medianNeighborCount(const NeighborGrid& grid, const PointCloud& cloud, float
   for (std::size_t i = 0; i < cloud.size(); i += step) {
     counts.push_back(countNeighbors(grid, cloud.points[i], radius));
   }
-  const auto middle = counts.begin() + static_cast<std::ptrdiff_t>(counts.size() / 2U);
-  std::nth_element(counts.begin(), middle, counts.end());
-  return *middle;
+  return medianOf(std::move(counts));
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 #include <map>
 #include <utility>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/preprocessing/ground_estimation.hpp"
 #include "field_phenotyping/preprocessing/outlier_filter.hpp"
 #include "field_phenotyping/preprocessing/voxel_map.hpp"
@@ -113,12 +114,10 @@ void Preprocessor::Impl::chooseHeightDatum(const Scan& scan,
     if (p.allFinite() && inCropBox(p)) heights.push_back(p.z());
   }
   if (heights.empty()) return;
-  const auto middle = heights.begin() + static_cast<std::ptrdiff_t>(heights.size() / 2U);
-  std::nth_element(heights.begin(), middle, heights.end());
   // About whole metres, of whole voxels: wherever the datum lies, the voxels are the same.
   const double step_height =
       std::max(1.0, std::round(1.0 / parameters.voxel_size)) * parameters.voxel_size;
-  map.setHeightDatum(std::floor(*middle / step_height) * step_height);
+  map.setHeightDatum(std::floor(medianOf(std::move(heights)) / step_height) * step_height);
   has_datum = true;
 }
 

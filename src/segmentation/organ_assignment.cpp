@@ -393,10 +393,10 @@ class LeafForm {
     for (std::size_t k = 0; k < kBins; ++k) {
       Bin& bin = form.bins_[k];
       if (slopes[k].size() >= kEnough) {
-        bin.slope = median(slopes[k]);
+        bin.slope = medianOf(slopes[k]);
         for (float& slope : slopes[k]) slope = std::abs(slope - bin.slope);
-        bin.slope_spread = std::max(kLeastSlopeSpread, kStddevOfMad * median(slopes[k]));
-        bin.miss_spread = std::max(kLeastMissSpread, kStddevOfMad * median(misses[k]));
+        bin.slope_spread = std::max(kLeastSlopeSpread, kStddevOfMad * medianOf(slopes[k]));
+        bin.miss_spread = std::max(kLeastMissSpread, kStddevOfMad * medianOf(misses[k]));
         last = &bin;
       } else if (last != nullptr) {
         bin = *last;
@@ -431,12 +431,6 @@ class LeafForm {
     float slope_spread = 0.0F;
     float miss_spread = 0.0F;
   };
-
-  static float median(std::vector<float>& values) {
-    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
-    std::nth_element(values.begin(), middle, values.end());
-    return *middle;
-  }
 
   std::array<Bin, kBins> bins_;
 };

@@ -7,17 +7,12 @@
 #include <optional>
 #include <utility>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/segmentation/row_model.hpp"
 #include "field_phenotyping/segmentation/stem_sight.hpp"
 
 namespace field_phenotyping {
 namespace {
-
-float medianOf(std::vector<float> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 std::pair<int, int> columnOf(const Eigen::Vector3f& point) {
   constexpr float kColumn = 0.25F;  // [m]

@@ -6,9 +6,9 @@
 
 namespace field_phenotyping {
 
-/// The middle value, the upper one of two. Reorders `values`, which must not be empty.
+/// The middle value, the upper one of two. `values` must not be empty.
 template <class Value>
-Value medianOf(std::vector<Value>& values) {
+Value medianOf(std::vector<Value> values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
