@@ -15,7 +15,7 @@ _HATCH = '////'
 _BRANCHING = '#ffedad'
 _OTHER = '0.65'
 _MARGIN = 0.05  # [m] drawn on either side of the stem where it is stretched
-_LEAST_DISTANCE = 0.012  # of two labels, share of the height of the picture
+_LEAST_DISTANCE = 0.014  # of two labels, share of the height of the picture
 _CM = 100.0
 
 
