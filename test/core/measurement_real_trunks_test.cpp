@@ -17,8 +17,7 @@
 namespace field_phenotyping {
 namespace {
 
-const std::string kFolder =
-    std::string(FIELD_PHENOTYPING_DATA) + "/treescope_trunks/";
+const std::string kFolder = std::string(FIELD_PHENOTYPING_DATA) + "/treescope_trunks/";
 
 /// Binary PCD with the fields x y z (float32) and part (uint8).
 std::vector<Eigen::Vector3d> readPoints(const std::string& path) {

@@ -84,6 +84,16 @@ TEST(StemAxis, ProjectsLikeBruteForce) {
   }
 }
 
+TEST(StemAxis, ProjectsOnToWhatDoesNotRise) {
+  // Over the top and down again: the nearest place is not at the point's own height.
+  const StemAxis axis({{{0.0F, 0.0F, 0.0F}, 0.01F},
+                       {{0.0F, 0.0F, 1.0F}, 0.01F},
+                       {{0.2F, 0.0F, 1.1F}, 0.01F},
+                       {{0.3F, 0.0F, 0.5F}, 0.01F}});
+  EXPECT_NEAR(axis.project({0.3F, 0.1F, 0.6F}).distance, 0.1F, 0.02F);
+  EXPECT_NEAR(axis.project({0.0F, 0.1F, 0.6F}).arc_length, 0.6F, 1e-5F);
+}
+
 TEST(StemAxis, EndsGoOnStraight) {
   const StemAxis axis = verticalAxis(1.0F, 0.01F);
   EXPECT_LT((axis.pointAt(1.5F) - Eigen::Vector3f(0.0F, 0.0F, 1.5F)).norm(), 1e-6F);
@@ -119,6 +129,18 @@ TEST(StemAxis, BelowKeepsTheLowerPart) {
   EXPECT_NEAR(axis.below(9.0F).length(), axis.length(), 1e-5F);
   EXPECT_GT(axis.below(-1.0F).length(), 0.0F);
   EXPECT_GT(axis.below(0.0F).length(), 0.0F);
+}
+
+TEST(StemAxis, ExtendsStraightOn) {
+  const StemAxis axis = bentAxis();
+  const StemAxis longer = axis.extendedBy(0.3F);
+  EXPECT_NEAR(longer.length(), axis.length() + 0.3F, 1e-5F);
+  for (const float s : {0.1F, 0.7F, axis.length(), axis.length() + 0.2F}) {
+    EXPECT_LT((longer.pointAt(s) - axis.pointAt(s)).norm(), 1e-5F);
+  }
+  EXPECT_FLOAT_EQ(longer.radiusAt(longer.length()), axis.radiusAt(axis.length()));
+  EXPECT_EQ(axis.extendedBy(0.0F).nodes().size(), axis.nodes().size());
+  EXPECT_FLOAT_EQ(axis.extendedBy(-1.0F).length(), axis.length());
 }
 
 TEST(StemAxis, CutsAnywhereEvenJustAboveANode) {
@@ -266,7 +288,8 @@ TEST(RegionGrowth, WithoutCandidatesWalksStraightToTheEnd) {
   const auto steps = [&](double beta, double r1) {
     SegmentationParameters parameters = growthParameters(0.2, beta);
     parameters.r1 = r1;
-    const GrowthRegion region = growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+    const GrowthRegion region =
+        growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
     EXPECT_TRUE(region.points.empty());
     return region.steps;
   };
@@ -284,7 +307,8 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
   for (int k = 0; k <= 200; ++k) points.emplace_back(0.09F, 0.0F, 0.005F * static_cast<float>(k));
   const TinyCloud cloud(points);
   SegmentationParameters parameters = growthParameters(0.0, 0.8);
-  const GrowthRegion region = growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion region =
+      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
   std::vector<std::uint32_t> expected;
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     for (int step = 0; step < 13; ++step) {
@@ -300,7 +324,8 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
 
   // The same line farther aside is never reached.
   for (Eigen::Vector3f& point : points) point.x() = 0.101F;
-  EXPECT_TRUE(growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters))
+  EXPECT_TRUE(growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+                         GrowthSettings(parameters))
                   .points.empty());
 }
 
@@ -318,8 +343,8 @@ TEST(RegionGrowth, MeanDirectionTurnsTheWalk) {
   };
   SegmentationParameters parameters = growthParameters(0.5, 0.5);
   parameters.max_growth_steps = 2;
-  const GrowthRegion region =
-      growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion region = growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+                                         GrowthSettings(parameters));
   EXPECT_EQ(region.steps, 2U);
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
 }
@@ -330,8 +355,8 @@ TEST(RegionGrowth, OpposedCandidatesCancel) {
       {0.09F, 0.0F, 0.0F}, {-0.09F, 0.0F, 0.0F}, {0.0F, 0.0F, 0.149F}, {0.0F, 0.0F, 0.151F}};
   SegmentationParameters parameters = growthParameters(0.6, 0.4);
   parameters.max_growth_steps = 2;
-  const GrowthRegion region =
-      growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion region = growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+                                         GrowthSettings(parameters));
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
 }
 
@@ -339,28 +364,34 @@ TEST(RegionGrowth, StopsWhereItLeavesTheSegment) {
   const TinyCloud cloud({{0.09F, 0.0F, -0.01F}, {5.0F, 5.0F, 5.0F}});
   // Eq 4, 5: the walk is over as soon as its projection leaves [0, 1].
   SegmentationParameters parameters = growthParameters(0.0, 1.0);
-  const GrowthRegion forwards =
-      growRegion(cloud.scene(), kStart, {0.0F, 0.0F, 0.05F}, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion forwards = growRegion(cloud.scene(), kStart, {0.0F, 0.0F, 0.05F},
+                                           vagueMidline(), GrowthSettings(parameters));
   EXPECT_EQ(forwards.steps, 1U);
   EXPECT_EQ(forwards.points, std::vector<std::uint32_t>{0U});
   // Drawn backwards by the points: out at the start.
   const TinyCloud behind({{0.0F, 0.0F, -0.09F}});
   parameters = growthParameters(1.0, 0.1);
-  EXPECT_EQ(growRegion(behind.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps, 1U);
+  EXPECT_EQ(
+      growRegion(behind.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps,
+      1U);
 }
 
 TEST(RegionGrowth, BoundedAndSafe) {
   const TinyCloud cloud({{0.0F, 0.0F, 0.0F}, {0.0F, 0.0F, 0.0F}, {0.02F, 0.0F, 0.3F}});
   SegmentationParameters parameters = growthParameters(0.2, 0.8);
   parameters.max_growth_steps = 4;
-  EXPECT_EQ(growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps, 4U);
+  EXPECT_EQ(
+      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps,
+      4U);
   // Nowhere to go: no direction, nothing joins.
-  const GrowthRegion still = growRegion(cloud.scene(), kStart, kStart, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion still =
+      growRegion(cloud.scene(), kStart, kStart, vagueMidline(), GrowthSettings(parameters));
   EXPECT_EQ(still.steps, 0U);
   EXPECT_TRUE(still.points.empty());
   // A point at the seed itself has no direction; it must not spoil the mean.
   parameters.max_growth_steps = 200;
-  const GrowthRegion region = growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion region =
+      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
   EXPECT_LT(region.steps, 25U);
 }
@@ -372,8 +403,8 @@ TEST(RegionGrowth, PointsAreAscendingAndOnce) {
   Midline midline;
   midline.axis = verticalAxis(1.0F, 0.012F);
   midline.spread = 0.001F;
-  const GrowthRegion region =
-      growRegion({points, shapes, grid}, kStart, kEnd, midline, GrowthSettings(SegmentationParameters()));
+  const GrowthRegion region = growRegion({points, shapes, grid}, kStart, kEnd, midline,
+                                         GrowthSettings(SegmentationParameters()));
   EXPECT_GT(region.points.size(), 950U) << "a clean stem joins";
   EXPECT_TRUE(std::is_sorted(region.points.begin(), region.points.end()));
   const std::set<std::uint32_t> once(region.points.begin(), region.points.end());
@@ -399,7 +430,8 @@ TEST(RegionGrowth, NoMoreJoinTheStricterMIs) {
   for (double M = 0.05; M <= 1.0; M += 0.05) {
     parameters.M = M;
     const std::size_t count =
-        growRegion({points, shapes, grid}, kStart, kEnd, midline, GrowthSettings(parameters)).points.size();
+        growRegion({points, shapes, grid}, kStart, kEnd, midline, GrowthSettings(parameters))
+            .points.size();
     EXPECT_LE(count, most) << "M " << M;
     most = count;
     counts.push_back(count);

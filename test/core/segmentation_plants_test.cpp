@@ -424,6 +424,36 @@ TEST(StemSeeds, PersistenceNotDensityMakesAStem) {
   EXPECT_LT((out.plants[0].base.head<2>().cast<double>() - plant.base).norm(), 0.02);
 }
 
+TEST(StemSeeds, DensityFindsWhatShowsNoShape) {
+  // Twelve points a metre, scattered by 6 mm: nowhere a line that stands up.
+  Block block;
+  block.ground = GroundModel({-2.0F, -2.0F}, 4.0F, 2, 2, std::vector<GroundModel::Node>(4U), true);
+  std::mt19937 random(17U);
+  std::normal_distribution<float> off(0.0F, 0.006F);
+  std::uniform_real_distribution<float> height(0.05F, 1.4F);
+  for (const float x : {-0.5F, 0.5F}) {
+    for (int k = 0; k < 16; ++k) {
+      block.cloud.points.emplace_back(x + off(random), off(random), height(random));
+    }
+  }
+  const SegmentationParameters parameters;
+  const auto radius = static_cast<float>(parameters.seed_radius);
+  const NeighborGrid grid(block.cloud.points, radius);
+  const auto shapes = computeLocalShapes(block.cloud.points, grid, radius);
+  const auto seedsBy = [&](SeedEvidence evidence, const std::vector<std::uint8_t>& explained,
+                           std::size_t most) {
+    return findStemSeeds(block, grid, shapes, parameters, evidence, {}, explained, most);
+  };
+  EXPECT_TRUE(seedsBy(SeedEvidence::kUpright, {}, 1000U).empty());
+  EXPECT_EQ(seedsBy(SeedEvidence::kDensity, {}, 1000U).size(), 2U);
+  EXPECT_EQ(seedsBy(SeedEvidence::kDensity, {}, 1U).size(), 1U);
+  std::vector<std::uint8_t> explained(block.cloud.size(), 0U);
+  std::fill_n(explained.begin(), 16, std::uint8_t{1});
+  const auto others = seedsBy(SeedEvidence::kDensity, explained, 1000U);
+  ASSERT_EQ(others.size(), 1U);
+  EXPECT_NEAR(others[0].points.front().x(), 0.5F, 0.03F);
+}
+
 // ---------------------------------------------------------------------------- organs
 
 /// Two upright stems 0.6 m apart, and what lies between them.
