@@ -16,18 +16,25 @@ LocalShape computeLocalShape(const Eigen::Vector3f& point,
                              float radius) {
   // Moments about the point itself keep float precision wherever the cloud lies.
   Eigen::Vector3f sum = Eigen::Vector3f::Zero();
-  Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
+  Eigen::Vector3f squares = Eigen::Vector3f::Zero();
+  Eigen::Vector3f products = Eigen::Vector3f::Zero();  // yx, zy, xz
   LocalShape shape;
-  grid.forEachWithin(point, radius, [&](std::uint32_t i, float) {
-    const Eigen::Vector3f offset = points[i] - point;
+  grid.forEachOffsetWithin(point, radius, [&](std::uint32_t, const Eigen::Vector3f& offset, float) {
     sum += offset;
-    squares.noalias() += offset * offset.transpose();
+    squares += offset.cwiseAbs2();
+    products.x() += offset.y() * offset.x();
+    products.y() += offset.z() * offset.y();
+    products.z() += offset.x() * offset.z();
     ++shape.neighbors;
   });
   if (shape.neighbors < kMinNeighbors) return shape;
   const auto count = static_cast<float>(shape.neighbors);
   const Eigen::Vector3f mean = sum / count;
-  const Eigen::Matrix3f covariance = squares / count - mean * mean.transpose();
+  Eigen::Matrix3f covariance;
+  covariance << squares.x(), products.x(), products.z(),  //
+      products.x(), squares.y(), products.y(),            //
+      products.z(), products.y(), squares.z();
+  covariance = covariance / count - mean * mean.transpose();
 
   Eigen::SelfAdjointEigenSolver<Eigen::Matrix3f> solver;
   solver.computeDirect(covariance);

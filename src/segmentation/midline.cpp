@@ -1,5 +1,3 @@
-#include "field_phenotyping/segmentation/midline.hpp"
-
 #include <Eigen/Dense>
 #include <algorithm>
 #include <array>
@@ -7,6 +5,8 @@
 #include <limits>
 #include <numeric>
 #include <utility>
+
+#include "field_phenotyping/segmentation/midline.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -99,8 +99,8 @@ struct StemCurve {
     const auto node = std::min(static_cast<std::size_t>(at), centers.size() - 2U);
     return {node, at - static_cast<double>(node)};
   }
-  Eigen::Vector2d centerAt(double height) const {
-    const Place at = placeOf(height);
+  Eigen::Vector2d centerAt(double height) const { return centerAt(placeOf(height)); }
+  Eigen::Vector2d centerAt(const Place& at) const {
     return (1.0 - at.share) * centers[at.node] + at.share * centers[at.node + 1U];
   }
   double radiusAt(double height) const {
@@ -109,11 +109,87 @@ struct StemCurve {
   }
 };
 
+/// Samples by height, so that those of a stretch lie side by side.
+void sortByHeight(std::vector<Sample>& samples) {
+  std::sort(samples.begin(), samples.end(),
+            [](const Sample& a, const Sample& b) { return a.height < b.height; });
+}
+
+/// The normal equations of a curve: two unknowns per node, each tied to those of the next two nodes
+/// only, and radius and taper, tied to all. Solved in a time that grows as the nodes.
+class CurveEquations {
+ public:
+  explicit CurveEquations(std::size_t nodes)
+      : lower_(2U * nodes, std::array<double, kBand + 1U>{}),
+        right_(2U * nodes, Eigen::Vector3d::Zero()) {}
+
+  /// Adds to the coefficient of two node unknowns, row >= column >= row - 4.
+  void add(std::size_t row, std::size_t column, double value) {
+    lower_[row][row - column] += value;
+  }
+  /// Adds to the right side and to the coefficients of radius and taper in a node's equation.
+  void addRight(std::size_t row, const Eigen::Vector3d& right_radius_taper) {
+    right_[row] += right_radius_taper;
+  }
+  void addRadius(const Eigen::Matrix2d& normal, const Eigen::Vector2d& right) {
+    radius_normal_ += normal;
+    radius_right_ += right;
+  }
+
+  /// The node unknowns, then radius and taper if wanted. Not finite where there is no solution.
+  Eigen::VectorXd solve(bool with_radius) && {
+    const std::size_t size = lower_.size();
+    const std::vector<Eigen::Vector3d> border = right_;
+    // Cholesky, row by row; the diagonal is kept inverted.
+    for (std::size_t i = 0; i < size; ++i) {
+      for (std::size_t column = i - std::min(i, kBand); column <= i; ++column) {
+        double rest = lower_[i][i - column];
+        for (std::size_t k = i - std::min(i, kBand); k < column; ++k) {
+          if (column - k <= kBand) rest -= lower_[i][i - k] * lower_[column][column - k];
+        }
+        lower_[i][i - column] = column < i ? rest * lower_[column][0] : 1.0 / std::sqrt(rest);
+      }
+      for (std::size_t k = i - std::min(i, kBand); k < i; ++k) {
+        right_[i] -= lower_[i][i - k] * right_[k];
+      }
+      right_[i] *= lower_[i][0];
+    }
+    for (std::size_t i = size; i-- > 0;) {
+      for (std::size_t k = i + 1U; k < std::min(i + kBand + 1U, size); ++k) {
+        right_[i] -= lower_[k][k - i] * right_[k];
+      }
+      right_[i] *= lower_[i][0];
+    }
+    Eigen::VectorXd solved(static_cast<Eigen::Index>(size + (with_radius ? 2U : 0U)));
+    Eigen::Vector2d radius = Eigen::Vector2d::Zero();
+    if (with_radius) {
+      for (std::size_t i = 0; i < size; ++i) {
+        radius_normal_ -= border[i].tail<2>() * right_[i].tail<2>().transpose();
+        radius_right_ -= border[i].tail<2>() * right_[i].x();
+      }
+      radius = radius_normal_.inverse() * radius_right_;
+      solved.tail<2>() = radius;
+    }
+    for (std::size_t i = 0; i < size; ++i) {
+      solved[static_cast<Eigen::Index>(i)] = right_[i].x() - right_[i].tail<2>().dot(radius);
+    }
+    return solved;
+  }
+
+ private:
+  static constexpr std::size_t kBand = 4U;
+  std::vector<std::array<double, kBand + 1U>> lower_;  // of a row, from the diagonal leftwards
+  std::vector<Eigen::Vector3d> right_;                 // right side, radius, taper
+  Eigen::Matrix2d radius_normal_ = Eigen::Matrix2d::Zero();
+  Eigen::Vector2d radius_right_ = Eigen::Vector2d::Zero();
+};
+
 /// Expectation maximisation of a stem among clutter. Every height band has its own share of stem
 /// points, so that bands full of leaves, or without any stem, do not draw the curve. Only samples
 /// of the active range of heights are looked at; elsewhere the curve runs on straight.
 class CurveFit {
  public:
+  /// @param samples by height
   CurveFit(const std::vector<Sample>& samples, StemCurve start, const Scale& scale)
       : samples_(&samples),
         curve_(std::move(start)),
@@ -129,6 +205,7 @@ class CurveFit {
     CurveFit fit = *this;
     fit.samples_ = &samples;
     fit.posterior_.assign(samples.size(), 0.0);
+    fit.setActive(low_, high_);
     return fit;
   }
 
@@ -141,6 +218,8 @@ class CurveFit {
   void setActive(double low, double high) {
     low_ = low;
     high_ = high;
+    first_ = firstFrom([&](const Sample& sample) { return sample.height >= low; });
+    end_ = firstFrom([&](const Sample& sample) { return sample.height > high; });
   }
 
   /// Lets points below a height lie farther from the surface. A stem surely goes on down to the
@@ -157,9 +236,12 @@ class CurveFit {
     const std::size_t last = bandOf(high);
     std::vector<double> inside(last - first + 1U, 0.0);
     std::vector<double> around(inside.size(), 0.0);
-    for (const Sample& sample : *samples_) {
+    const std::size_t begin =
+        firstFrom([&](const Sample& sample) { return bandOf(sample.height) >= first; });
+    for (std::size_t i = begin; i < samples_->size(); ++i) {
+      const Sample& sample = (*samples_)[i];
       const std::size_t band = bandOf(sample.height);
-      if (band < first || band > last) continue;
+      if (band > last) break;
       const double skin = curve_.radiusAt(sample.height) + 2.0 * spreadAt(sample.height);
       const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
       if (distance < skin) {
@@ -180,25 +262,26 @@ class CurveFit {
   /// The stem as a blob of points of that width, which finds it from afar.
   void fitBlob(double width) {
     spread_ = width;
-    expect(false);
-    maximise(false);
+    iterate(false);
   }
 
   /// The stem as its surface.
   void fitSurface(double spread) {
     spread_ = spread;
-    expect(true);
-    maximise(true);
+    iterate(true);
   }
 
   /// Robust standard deviation of the stem points about the surface.
   double surfaceSpread() const {
     double sum = 0.0;
     double total = 1e-9;
-    for (std::size_t i = 0; i < samples_->size(); ++i) {
-      const double away = ((*samples_)[i].offset - curve_.centerAt((*samples_)[i].height)).norm() -
-                          curve_.radiusAt((*samples_)[i].height);
-      const double weight = posterior_[i] * std::pow(trust_[bandOf((*samples_)[i].height)], 2);
+    for (std::size_t i = first_; i < end_; ++i) {
+      if (!(posterior_[i] > 0.0)) continue;
+      const Sample& sample = (*samples_)[i];
+      const double away =
+          (sample.offset - curve_.centerAt(sample.height)).norm() - curve_.radiusAt(sample.height);
+      const double trust = trust_[bandOf(sample.height)];
+      const double weight = posterior_[i] * trust * trust;
       sum += weight * away * away;
       total += weight;
     }
@@ -213,7 +296,7 @@ class CurveFit {
     double near = 0.0;
     double below = 0.0;
     for (const Sample& sample : *samples_) {
-      if (sample.height > high) continue;
+      if (sample.height > high) break;
       const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
       const double skin = curve_.radiusAt(sample.height) + spreadAt(sample.height);
       if (sample.height < low) {
@@ -270,10 +353,32 @@ class CurveFit {
 
   /// The same of a stem that stands on the soil: a band counts by the share of what the bands below
   /// it could show that they do show. A leaf has nothing below.
-  double rootedEvidence(double low, double high, const std::vector<Sample>& all) const {
-    std::vector<double> possible(shares_.size(), 0.0);
-    for (const Sample& sample : all) possible[bandOf(sample.height)] += kPointEvidence;
+  /// @param possible of possibleEvidence()
+  double rootedEvidence(double low, double high, const std::vector<double>& possible) const {
+    return rooted(bandEvidence(low, high), possible);
+  }
+
+  /// Both.
+  std::array<double, 2> evidences(double low, double high,
+                                  const std::vector<double>& possible) const {
     const std::vector<double> bands = bandEvidence(low, high);
+    return {std::accumulate(bands.begin(), bands.end(), 0.0), rooted(bands, possible)};
+  }
+
+  /// What the samples of each band could say for a stem.
+  std::vector<double> possibleEvidence(const std::vector<Sample>& samples) const {
+    std::vector<double> possible(shares_.size(), 0.0);
+    for (const Sample& sample : samples) possible[bandOf(sample.height)] += kPointEvidence;
+    return possible;
+  }
+
+ private:
+  static constexpr double kTaper = 0.25;        // share of the radius lost per metre
+  static constexpr double kTaperStddev = 0.12;  // of the same
+
+  double mostEvidence() const { return kMostEvidence * scale_.share_band; }
+
+  double rooted(const std::vector<double>& bands, const std::vector<double>& possible) const {
     double sum = 0.0;
     double shown = 0.0;
     double could_show = 0.0;
@@ -285,38 +390,51 @@ class CurveFit {
     return sum;
   }
 
- private:
-  static constexpr double kTaper = 0.25;        // share of the radius lost per metre
-  static constexpr double kTaperStddev = 0.12;  // of the same
+  /// Sum of logarithms, as the logarithm of products.
+  class LogSum {
+   public:
+    void add(double factor) {
+      product_ *= factor;
+      constexpr double kMost = 1e200;  // no factor is as large as what is left beyond
+      if (product_ < 1.0 / kMost || product_ > kMost) {
+        sum_ += std::log(product_);
+        product_ = 1.0;
+      }
+    }
+    double value() const { return sum_ + std::log(product_); }
 
-  double mostEvidence() const { return kMostEvidence * scale_.share_band; }
+   private:
+    double sum_ = 0.0;
+    double product_ = 1.0;
+  };
 
   std::vector<double> bandEvidence(double low, double high) const {
-    std::vector<std::vector<double>> ratios(shares_.size());
+    constexpr std::array<double, 2> kShares{0.2, 0.7};
+    std::vector<std::array<LogSum, 2>> gains(shares_.size());
     for (const Sample& sample : *samples_) {
-      const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
-      if (distance > reach_) continue;
+      const double squared = (sample.offset - curve_.centerAt(sample.height)).squaredNorm();
+      if (squared > reach_ * reach_) continue;
       const double beyond = std::max({0.0, low - sample.height, sample.height - high});
       constexpr double kLoosen = 0.01;  // [m/m] what a straight continuation may miss by
-      ratios[bandOf(sample.height)].push_back(
-          surfaceDensity(distance, sample.height, std::hypot(spread_, kLoosen * beyond)) /
-          clutter());
+      const double spread = beyond > 0.0 ? std::hypot(spread_, kLoosen * beyond) : spread_;
+      const double ratio =
+          surfaceDensity(std::sqrt(squared), curve_.radiusAt(sample.height), spread) / clutter();
+      std::array<LogSum, 2>& band = gains[bandOf(sample.height)];
+      for (std::size_t k = 0; k < 2U; ++k) band[k].add(1.0 + kShares[k] * (ratio - 1.0));
     }
     std::vector<double> bands;
-    for (const std::vector<double>& band : ratios) {
-      double most = 0.0;
-      for (const double share : {0.2, 0.7}) {
-        double gain = 0.0;
-        for (const double ratio : band) gain += std::log1p(share * (ratio - 1.0));
-        most = std::max(most, gain);
-      }
-      bands.push_back(std::min(most, mostEvidence()));
+    for (const std::array<LogSum, 2>& band : gains) {
+      bands.push_back(std::min(std::max({0.0, band[0].value(), band[1].value()}), mostEvidence()));
     }
     return bands;
   }
 
-  bool active(const Sample& sample) const {
-    return sample.height >= low_ && sample.height <= high_;
+  /// Index of the first sample, by height, for which `reached` holds.
+  template <class Reached>
+  std::size_t firstFrom(Reached&& reached) const {
+    const auto found = std::partition_point(samples_->begin(), samples_->end(),
+                                            [&](const Sample& sample) { return !reached(sample); });
+    return static_cast<std::size_t>(found - samples_->begin());
   }
 
   std::size_t bandOf(double height) const {
@@ -325,11 +443,13 @@ class CurveFit {
   }
 
   /// Density of a stem's points over the plane across it [1/m^2].
-  double surfaceDensity(double distance, double height, double spread) const {
-    const double radius = curve_.radiusAt(height);
+  static double surfaceDensity(double distance, double radius, double spread) {
     const double z = (distance - radius) / spread;
-    return std::exp(-0.5 * z * z) /
-           (std::sqrt(2.0 * M_PI) * spread * 2.0 * M_PI * std::max(radius, spread));
+    return gauss(z * z) / (std::sqrt(2.0 * M_PI) * 2.0 * M_PI * spread * std::max(radius, spread));
+  }
+  static double gauss(double squared) {
+    constexpr double kNone = 80.0;  // exp(-40) changes nothing
+    return squared < kNone ? std::exp(-0.5 * squared) : 0.0;
   }
   double clutter() const { return 1.0 / (M_PI * reach_ * reach_); }
 
@@ -340,118 +460,160 @@ class CurveFit {
     return height < foot_ ? std::max(foot_spread_, spread_) : spread_;
   }
 
-  /// How probably each point is the stem's.
-  void expect(bool surface) {
+  /// What the points between two nodes say about both, and about radius and taper: sums of
+  /// w r r^T, w r q^T, w q q^T and of the same with the target, for points with the row
+  /// r = ((1 - share) t, share t) in the nodes' unknowns and q in radius and taper.
+  struct CellSums {
+    double points = 0.0;
+    std::array<Eigen::Vector3d, 3> squares;  ///< xx, xy, yy of t: lower, across, upper node
+    std::array<Eigen::Vector3d, 4> borders;  ///< of each unknown: target, radius, taper
+    Eigen::Vector3d radius = Eigen::Vector3d::Zero();  ///< 1, height, height^2
+    Eigen::Vector2d radius_target = Eigen::Vector2d::Zero();
+
+    CellSums() {
+      squares.fill(Eigen::Vector3d::Zero());
+      borders.fill(Eigen::Vector3d::Zero());
+    }
+    void addPoint(double share, double weight, double height, const Eigen::Vector2d& toward,
+                  double target) {
+      addSquares(share, weight,
+                 {toward.x() * toward.x(), toward.x() * toward.y(), toward.y() * toward.y()});
+      const Eigen::Vector3d border = weight * Eigen::Vector3d(target, 1.0, height);
+      borders[0] += (1.0 - share) * toward.x() * border;
+      borders[1] += (1.0 - share) * toward.y() * border;
+      borders[2] += share * toward.x() * border;
+      borders[3] += share * toward.y() * border;
+      radius += weight * Eigen::Vector3d(1.0, height, height * height);
+      radius_target += weight * target * Eigen::Vector2d(1.0, height);
+    }
+    /// A point that says where the centre is.
+    void addCenter(double share, double weight, const Eigen::Vector2d& offset) {
+      addSquares(share, weight, {1.0, 0.0, 1.0});
+      borders[0].x() += (1.0 - share) * weight * offset.x();
+      borders[1].x() += (1.0 - share) * weight * offset.y();
+      borders[2].x() += share * weight * offset.x();
+      borders[3].x() += share * weight * offset.y();
+    }
+
+   private:
+    void addSquares(double share, double weight, const Eigen::Vector3d& square) {
+      squares[0] += (1.0 - share) * (1.0 - share) * weight * square;
+      squares[1] += share * (1.0 - share) * weight * square;
+      squares[2] += share * share * weight * square;
+    }
+  };
+
+  void iterate(bool surface) { maximise(expect(surface), surface); }
+
+  /// How probably each point is the stem's, and what the points then say, by cells between nodes.
+  std::vector<CellSums> expect(bool surface) {
     std::vector<double> stem(shares_.size(), 0.0);
     std::vector<double> all(shares_.size(), 0.0);
-    for (std::size_t i = 0; i < samples_->size(); ++i) {
+    std::vector<CellSums> cells(curve_.centers.size());
+    for (std::size_t i = first_; i < end_; ++i) {
       posterior_[i] = 0.0;
-      if (!active((*samples_)[i])) continue;
-      const double distance =
-          ((*samples_)[i].offset - curve_.centerAt((*samples_)[i].height)).norm();
-      if (distance > reachAt((*samples_)[i].height)) continue;
-      const std::size_t band = bandOf((*samples_)[i].height);
-      double density = 0.0;
-      if (surface) {
-        density = surfaceDensity(distance, (*samples_)[i].height, spreadAt((*samples_)[i].height));
-      } else {
-        const double z = distance / spread_;
-        density = std::exp(-0.5 * z * z) / (2.0 * M_PI * spread_ * spread_);
-      }
+      const Sample& sample = (*samples_)[i];
+      const StemCurve::Place place = curve_.placeOf(sample.height);
+      const Eigen::Vector2d away = sample.offset - curve_.centerAt(place);
+      const double squared = away.squaredNorm();
+      const double reach = reachAt(sample.height);
+      if (squared > reach * reach) continue;
+      const std::size_t band = bandOf(sample.height);
+      const double spread = spreadAt(sample.height);
+      const double distance = std::sqrt(squared);
+      const double density =
+          surface ? surfaceDensity(distance, curve_.radiusAt(sample.height), spread)
+                  : gauss(squared / (spread_ * spread_)) / (2.0 * M_PI * spread_ * spread_);
       const double of_stem = shares_[band] * density;
-      posterior_[i] = of_stem / (of_stem + (1.0 - shares_[band]) * clutter());
-      stem[band] += posterior_[i];
+      const double posterior = of_stem / (of_stem + (1.0 - shares_[band]) * clutter());
+      posterior_[i] = posterior;
+      stem[band] += posterior;
       all[band] += 1.0;
+      cells[place.node].points += posterior;
+      constexpr double kNegligible = 1e-4;
+      if (posterior < kNegligible) continue;
+      const double weight = trust_[band] * posterior / (spread * spread);
+      if (surface) {
+        // Distance minus radius, linearised: toward . (offset - center) = radius + taper * height,
+        // hence with the unknowns on one side toward . center + radius + ... = toward . offset.
+        const Eigen::Vector2d toward = away / std::max(distance, 1e-6);
+        cells[place.node].addPoint(place.share, weight, sample.height, toward,
+                                   toward.dot(sample.offset));
+      } else {
+        cells[place.node].addCenter(place.share, weight, sample.offset);
+      }
     }
     for (std::size_t band = 0; band < shares_.size(); ++band) {
       shares_[band] = std::clamp((stem[band] + 0.5) / (all[band] + 1.0), 0.02, 0.98);
     }
+    return cells;
   }
 
   /// Weighted least squares of the centres, and of radius and taper with the surface, under a prior
   /// that stems bend little. Unknowns: u, v of every node, with the surface also radius and taper.
-  void maximise(bool surface) {
-    const auto nodes = static_cast<Eigen::Index>(curve_.centers.size());
-    const Eigen::Index size = 2 * nodes + (surface ? 2 : 0);
-    Eigen::MatrixXd normal = Eigen::MatrixXd::Zero(size, size);
-    Eigen::VectorXd right = Eigen::VectorXd::Zero(size);
-    // One equation: direction . center there + radius_row . (radius, taper) = target.
-    const auto addRow = [&](const StemCurve::Place& place, const Eigen::Vector2d& direction,
-                            const Eigen::Vector2d& radius_row, double target, double weight) {
-      const Eigen::Index first = 2 * static_cast<Eigen::Index>(place.node);
-      Eigen::Vector4d row;
-      row << (1.0 - place.share) * direction, place.share * direction;
-      normal.block<4, 4>(first, first) += weight * row * row.transpose();
-      right.segment<4>(first) += weight * target * row;
-      if (!surface) return;
-      normal.block<2, 4>(size - 2, first) += weight * radius_row * row.transpose();
-      normal.bottomRightCorner<2, 2>() += weight * radius_row * radius_row.transpose();
-      right.tail<2>() += weight * target * radius_row;
-    };
-
-    // Points of one cell err together (leaf bases, out-of-roundness), so many count as a few.
-    std::vector<double> cell_points(curve_.centers.size(), 0.0);
-    for (std::size_t i = 0; i < samples_->size(); ++i) {
-      cell_points[curve_.placeOf((*samples_)[i].height).node] += posterior_[i];
-    }
-    for (std::size_t i = 0; i < samples_->size(); ++i) {
-      constexpr double kNegligible = 1e-4;
-      if (posterior_[i] < kNegligible) continue;
-      const StemCurve::Place place = curve_.placeOf((*samples_)[i].height);
+  void maximise(const std::vector<CellSums>& cells, bool surface) {
+    const std::size_t nodes = curve_.centers.size();
+    CurveEquations equations(nodes);
+    for (std::size_t k = 0; k + 1U < nodes; ++k) {
+      const CellSums& cell = cells[k];
+      if (!(cell.points > 0.0)) continue;
+      // Points of one cell err together (leaf bases, out-of-roundness), so many count as a few.
       constexpr double kMostPoints = 12.0;
-      const double weight = trust_[bandOf((*samples_)[i].height)] * posterior_[i] *
-                            std::min(1.0, kMostPoints / cell_points[place.node]) /
-                            std::pow(spreadAt((*samples_)[i].height), 2);
-      const Eigen::Vector2d& offset = (*samples_)[i].offset;
-      if (!surface) {
-        addRow(place, Eigen::Vector2d::UnitX(), Eigen::Vector2d::Zero(), offset.x(), weight);
-        addRow(place, Eigen::Vector2d::UnitY(), Eigen::Vector2d::Zero(), offset.y(), weight);
-        continue;
+      const double few = std::min(1.0, kMostPoints / cell.points);
+      const std::size_t i = 2U * k;
+      for (const std::size_t node : {std::size_t{0}, std::size_t{2}}) {
+        const Eigen::Vector3d square = few * cell.squares[node];
+        equations.add(i + node, i + node, square[0]);
+        equations.add(i + node + 1U, i + node, square[1]);
+        equations.add(i + node + 1U, i + node + 1U, square[2]);
       }
-      // Distance minus radius, linearised: toward . (offset - center) = radius + taper * height.
-      const Eigen::Vector2d away = offset - curve_.centerAt((*samples_)[i].height);
-      const Eigen::Vector2d toward = away / std::max(away.norm(), 1e-6);
-      addRow(place, toward, {1.0, (*samples_)[i].height}, toward.dot(offset), weight);
+      const Eigen::Vector3d across = few * cell.squares[1];
+      equations.add(i + 2U, i, across[0]);
+      equations.add(i + 2U, i + 1U, across[1]);
+      equations.add(i + 3U, i, across[1]);
+      equations.add(i + 3U, i + 1U, across[2]);
+      for (std::size_t row = 0; row < 4U; ++row)
+        equations.addRight(i + row, few * cell.borders[row]);
+      Eigen::Matrix2d radius;
+      radius << cell.radius[0], cell.radius[1], cell.radius[1], cell.radius[2];
+      equations.addRadius(few * radius, few * cell.radius_target);
     }
 
     // Bending: the slope wanders by kBend per square root of a metre.
     const double bend = 1.0 / (kBend * kBend * std::pow(curve_.spacing, 3));
-    for (Eigen::Index k = 0; k + 2 < nodes; ++k) {
-      for (Eigen::Index axis = 0; axis < 2; ++axis) {
-        const Eigen::Index i = 2 * k + axis;
-        normal(i, i) += bend;
-        normal(i + 2, i + 2) += 4.0 * bend;
-        normal(i + 4, i + 4) += bend;
-        normal(i + 2, i) -= 2.0 * bend;
-        normal(i + 4, i + 2) -= 2.0 * bend;
-        normal(i + 4, i) += bend;
-      }
+    for (std::size_t i = 0; i + 4U < 2U * nodes; ++i) {
+      equations.add(i, i, bend);
+      equations.add(i + 2U, i + 2U, 4.0 * bend);
+      equations.add(i + 4U, i + 4U, bend);
+      equations.add(i + 2U, i, -2.0 * bend);
+      equations.add(i + 4U, i + 2U, -2.0 * bend);
+      equations.add(i + 4U, i, bend);
     }
     // Weak: nodes stay where they are, so that nothing is undetermined.
     constexpr double kHold = 1.0 / (0.2 * 0.2);
-    for (Eigen::Index i = 0; i < 2 * nodes; ++i) {
-      normal(i, i) += kHold;
-      right[i] += kHold * curve_.centers[static_cast<std::size_t>(i / 2)][i % 2];
+    for (std::size_t i = 0; i < 2U * nodes; ++i) {
+      equations.add(i, i, kHold);
+      const double held = curve_.centers[i / 2U][static_cast<Eigen::Index>(i % 2U)];
+      equations.addRight(i, {kHold * held, 0.0, 0.0});
     }
     if (surface) {
       const double level = 1.0 / std::pow(kRadiusStddev * typical_radius_, 2);
       const double slope = 1.0 / std::pow(kTaperStddev * typical_radius_, 2);
       const Eigen::Vector2d row(1.0, 0.5 * (std::max(low_, 0.0) + high_));
-      normal.bottomRightCorner<2, 2>() += level * row * row.transpose();
-      right.tail<2>() += level * typical_radius_ * row;
-      normal(size - 1, size - 1) += slope;
-      right[size - 1] -= slope * kTaper * typical_radius_;
+      equations.addRadius(level * row * row.transpose(), level * typical_radius_ * row);
+      equations.addRadius(Eigen::Vector2d(0.0, slope).asDiagonal(),
+                          {0.0, -slope * kTaper * typical_radius_});
     }
 
-    const Eigen::LDLT<Eigen::MatrixXd, Eigen::Lower> solver(normal);
-    const Eigen::VectorXd solved = solver.solve(right);
-    if (solver.info() != Eigen::Success || !solved.allFinite()) return;
-    for (std::size_t k = 0; k < curve_.centers.size(); ++k) {
+    const Eigen::VectorXd solved = std::move(equations).solve(surface);
+    if (!solved.allFinite()) return;
+    for (std::size_t k = 0; k < nodes; ++k) {
       curve_.centers[k] = solved.segment<2>(2 * static_cast<Eigen::Index>(k));
     }
     if (surface) {
-      curve_.taper = std::min(solved[size - 1], 0.0);
-      curve_.radius = std::max(solved[size - 2], 1e-3);
+      const Eigen::Vector2d radius = solved.tail<2>();
+      curve_.taper = std::min(radius[1], 0.0);
+      curve_.radius = std::max(radius[0], 1e-3);
     }
   }
 
@@ -464,6 +626,8 @@ class CurveFit {
   double reach_;
   double low_ = 0.0;
   double high_ = 0.0;
+  std::size_t first_ = 0U;  // active samples
+  std::size_t end_ = 0U;
   double spread_ = 0.0;
   double foot_ = -std::numeric_limits<double>::infinity();
   double foot_spread_ = 0.0;
@@ -527,7 +691,8 @@ std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCu
                                    const Scale& scale, double low, double high) {
   std::vector<Sample> local;
   for (const Sample& sample : near) {
-    if (sample.height < low || sample.height > high) continue;
+    if (sample.height > high) break;
+    if (sample.height < low) continue;
     local.push_back({sample.height - low, sample.offset});
   }
   if (local.size() < kMinPoints) return {};
@@ -552,14 +717,18 @@ std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCu
 
 /// The stretches that agree best with what lies above and below them: the one that most points
 /// speak for, and the one that stands best on the soil, if it is another. The first may be a leaf.
+/// @param samples by height
+/// @param foot    of densestFoot(), for young plants
 std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, const StemCurve& start,
-                                        const Eigen::Vector2d& upright, const Scale& scale) {
+                                        const Eigen::Vector2d& foot, const Eigen::Vector2d& upright,
+                                        const Scale& scale) {
   std::vector<Hypothesis> best;  // by evidence, by rooted evidence
   std::array<double, 2> most{};
+  std::vector<double> possible;  // the same for all, whose bands are the same
   const auto keepBest = [&](const std::vector<Hypothesis>& fits) {
     for (const Hypothesis& one : fits) {
-      const std::array<double, 2> evidence{one.fit.evidence(one.low, one.high),
-                                           one.fit.rootedEvidence(one.low, one.high, samples)};
+      if (possible.empty()) possible = one.fit.possibleEvidence(samples);
+      const std::array<double, 2> evidence = one.fit.evidences(one.low, one.high, possible);
       if (best.empty()) {
         best = {one, one};
         most = evidence;
@@ -580,7 +749,6 @@ std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, cons
     keepBest(fitStretch(near, start, scale, low, std::min(low + scale.stretch, length)));
   }
   // A prior that follows a leaf passes by the foot of its plant, which is where points crowd low.
-  const Eigen::Vector2d foot = densestFoot(samples, upright, scale);
   if (scale.young && (foot - start.centers.front()).norm() > scale.thickest) {
     StemCurve from_foot = start;
     for (std::size_t k = 0; k < from_foot.centers.size(); ++k) {
@@ -662,14 +830,18 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
   midline.spread = 0.125F * max_radius;
   if (samples.size() < kMinPoints) return midline;
 
+  const Eigen::Vector2d foot = scale.young ? densestFoot(samples, frame.upright(), scale)
+                                           : Eigen::Vector2d(Eigen::Vector2d::Zero());
+  sortByHeight(samples);
+
   // 1. Stretches that are surely stem, or a leaf.
-  std::vector<Hypothesis> stems =
-      likelyStretches(samples, curveAlong(prior, frame, scale.spacing), frame.upright(), scale);
+  std::vector<Hypothesis> stems = likelyStretches(samples, curveAlong(prior, frame, scale.spacing),
+                                                  foot, frame.upright(), scale);
   if (stems.empty()) return midline;
   // 2. The whole stem from there. What stands on the soil is no leaf.
   for (Hypothesis& stem : stems) extend(stem, samples, scale);
   const auto rooted = [&](const Hypothesis& stem) {
-    return stem.fit.rootedEvidence(stem.low, stem.high, samples);
+    return stem.fit.rootedEvidence(stem.low, stem.high, stem.fit.possibleEvidence(samples));
   };
   Hypothesis& stem =
       scale.young && stems.size() > 1U && rooted(stems[1]) > rooted(stems[0]) ? stems[1] : stems[0];

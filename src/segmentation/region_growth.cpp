@@ -44,10 +44,16 @@ std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis
   std::vector<std::uint32_t> found;
   constexpr float kStep = 0.4F;  // of the radius: spheres so close make a smooth tube
   const int steps = static_cast<int>(std::ceil(axis.length() / (kStep * radius)));
+  Eigen::Vector3f last = Eigen::Vector3f::Zero();
   for (int k = 0; k <= steps; ++k) {
     const float s = axis.length() * static_cast<float>(k) / static_cast<float>(steps);
-    scene.grid.forEachWithin(axis.pointAt(s), radius,
-                             [&](std::uint32_t i, float) { found.push_back(i); });
+    const Eigen::Vector3f center = axis.pointAt(s);
+    scene.grid.forEachWithin(center, radius, [&](std::uint32_t i, float) {
+      // Most points lie in several spheres; those of the last one are found already.
+      if (k > 0 && (scene.points[i] - last).squaredNorm() <= radius * radius) return;
+      found.push_back(i);
+    });
+    last = center;
   }
   std::sort(found.begin(), found.end());
   found.erase(std::unique(found.begin(), found.end()), found.end());

@@ -1,7 +1,9 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -21,16 +23,37 @@ class NeighborGrid {
   /// in an order that depends only on the points.
   template <class Visit>
   void forEachWithin(const Eigen::Vector3f& center, float radius, Visit&& visit) const {
+    forEachOffsetWithin(center, radius,
+                        [&](std::uint32_t i, const Eigen::Vector3f& /*offset*/, float squared) {
+                          visit(i, squared);
+                        });
+  }
+
+  /// The same with visit(index, point - center, squared distance), in the same order.
+  template <class Visit>
+  void forEachOffsetWithin(const Eigen::Vector3f& center, float radius, Visit&& visit) const {
+    if (points_.empty()) return;
     const float squared_radius = radius * radius;
-    const Eigen::Array3i low = clampedCell(center.array() - radius);
-    const Eigen::Array3i high = clampedCell(center.array() + radius);
-    for (int z = low.z(); z <= high.z(); ++z) {
-      for (int y = low.y(); y <= high.y(); ++y) {
+    const float reach = radius + slack_;
+    const int low_z = cellAt(center.z() - reach, 2);
+    const int high_z = cellAt(center.z() + reach, 2);
+    const int low_y = cellAt(center.y() - reach, 1);
+    const int high_y = cellAt(center.y() + reach, 1);
+    for (int z = low_z; z <= high_z; ++z) {
+      const float off_z = outside(center.z(), z, 2);
+      const float left_z = reach * reach - off_z * off_z;
+      for (int y = low_y; y <= high_y; ++y) {
+        // Only the part of the row that the sphere reaches.
+        const float off_y = outside(center.y(), y, 1);
+        const float left = left_z - off_y * off_y;
+        if (left < 0.0F) continue;
+        const float half = std::sqrt(left) + slack_;
         // Cells of one x-run are neighbours in memory.
-        const Run run = findRun(low.x(), high.x(), y, z);
+        const Run run = findRun(cellAt(center.x() - half, 0), cellAt(center.x() + half, 0), y, z);
         for (std::uint32_t k = run.begin; k < run.end; ++k) {
-          const float squared_distance = (points_[k] - center).squaredNorm();
-          if (squared_distance <= squared_radius) visit(order_[k], squared_distance);
+          const Eigen::Vector3f offset = points_[k] - center;
+          const float squared_distance = offset.squaredNorm();
+          if (squared_distance <= squared_radius) visit(order_[k], offset, squared_distance);
         }
       }
     }
@@ -51,16 +74,41 @@ class NeighborGrid {
     std::uint32_t end;
   };
 
-  Eigen::Array3i clampedCell(const Eigen::Array3f& position) const;
-  Run findRun(int low_x, int high_x, int y, int z) const;
+  /// The cell of a coordinate, or the nearest one.
+  int cellAt(float position, int axis) const {
+    const float at = (position - corner_[axis]) * inverse_cell_;
+    return at > 0.0F ? static_cast<int>(std::min(at, last_[axis])) : 0;
+  }
+  /// How far a coordinate lies outside a cell, at least.
+  float outside(float position, int cell, int axis) const {
+    const float low = corner_[axis] + static_cast<float>(cell) * cell_;
+    return std::max({0.0F, low - position - slack_, position - low - cell_ - slack_});
+  }
+  Run findRun(int low_x, int high_x, int y, int z) const {
+    if (column_begin_.empty()) return searchRun(low_x, high_x, y, z);
+    const std::size_t column =
+        static_cast<std::size_t>(z) * columns_y_ + static_cast<std::size_t>(y);
+    Run run{column_begin_[column], column_begin_[column + 1U]};
+    constexpr std::uint32_t kLong = 32U;  // more are worth a search
+    if (run.end - run.begin > kLong) return narrowRun(run, low_x, high_x);
+    while (run.begin < run.end && cell_x_[run.begin] < low_x) ++run.begin;
+    while (run.begin < run.end && cell_x_[run.end - 1U] > high_x) --run.end;
+    return run;
+  }
+  Run narrowRun(const Run& column, int low_x, int high_x) const;
+  Run searchRun(int low_x, int high_x, int y, int z) const;
 
   float cell_;
+  float inverse_cell_;
+  float slack_ = 0.0F;  // [m] that rounding may move a point across a cell's border
   Eigen::Array3f corner_ = Eigen::Array3f::Zero();
-  Eigen::Array3i cells_ = Eigen::Array3i::Ones();
-  std::vector<std::uint64_t> keys_;          // of each point, sorted
+  Eigen::Array3f last_ = Eigen::Array3f::Zero();  // cell along each axis
+  std::size_t columns_y_ = 1U;
+  std::vector<int> cell_x_;                  // of each sorted point
   std::vector<std::uint32_t> order_;         // source index of each sorted point
   std::vector<Eigen::Vector3f> points_;      // sorted
-  std::vector<std::uint32_t> column_begin_;  // dense index of (y, z) columns when small enough
+  std::vector<std::uint32_t> column_begin_;  // dense index of (y, z) columns when small enough,
+  std::vector<std::uint64_t> columns_;       // or the column of each sorted point
 };
 
 }  // namespace field_phenotyping
