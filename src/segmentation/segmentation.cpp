@@ -13,6 +13,7 @@
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/stand_length.hpp"
 #include "field_phenotyping/segmentation/stem_foot.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
@@ -68,6 +69,40 @@ Midline findMidline(const GrowthScene& scene, const StemSeeds& seeds, const Grou
   midline.axis = midline.axis.extendedBy(std::min(kMostBeyond, kBeyond * plant_height));
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
   return midline;
+}
+
+/// Where a stem of that stand ends; its axis has been cut where it alone shows an end.
+Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLength& stand,
+                      float max_radius, float plant_height) {
+  constexpr float kBeyond = 0.2F;  // of the plant's height
+  constexpr float kSpreads = 2.0F;
+  constexpr float kAround = 2.5F;  // max_radius
+  const StemAxis& axis = midline.axis;
+  const float longest =
+      std::max(axis.length() + kBeyond * plant_height,
+               static_cast<float>(stand.typical) + kSpreads * static_cast<float>(stand.spread));
+  Midline longer = midline;
+  longer.axis = axis.extendedBy(longest - axis.length());
+  const std::vector<std::uint32_t> around = pointsAround(scene, longer.axis, kAround * max_radius);
+  const float top = findStemTop(scene.points, around, longer, stand);
+  midline.axis =
+      longer.axis.below(static_cast<float>(stand.likelyLength(static_cast<double>(top))));
+  return midline;
+}
+
+/// Lets the stems learn from one another where they end.
+void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
+              std::vector<GrownStem>& stems) {
+  std::vector<double> lengths;
+  for (const GrownStem& stem : stems) {
+    lengths.push_back(static_cast<double>(stem.midline.axis.length()));
+  }
+  const StandLength stand = fitStandLength(lengths);
+  if (!stand.known()) return;
+  parallelFor(stems.size(), [&](std::size_t s) {
+    stems[s].midline =
+        withLikelyEnd(scene, std::move(stems[s].midline), stand, max_radius, plant_height);
+  });
 }
 
 /// What grows from every candidate; candidates that nothing grows from are left out.
@@ -277,6 +312,8 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     const Eigen::Vector3f low_b = b.midline.axis.nodes().front().position;
     return low_a.x() != low_b.x() ? low_a.x() < low_b.x() : low_a.y() < low_b.y();
   });
+
+  poolEnds(scene, static_cast<float>(parameters.max_stem_radius), plant_height, stems);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
   const float max_gap = longestGap(stems);

@@ -64,8 +64,18 @@ double medianSeen(const std::vector<double>& counts) {
   return *middle;
 }
 
+/// How far the young leaves of a whorl clasp one another above the stem's end, until they have left
+/// the core of the axis.
+double claspBelow(double occupied, const StemAxis& axis) {
+  constexpr double kClasp = 3.0;  // radii
+  return std::min(kClasp * static_cast<double>(axis.radiusAt(static_cast<float>(occupied))),
+                  0.5 * occupied);
+}
+
 /// Where the axis stops being one: the cut that best parts bands with a stem from bands without.
-double occupiedLength(const std::vector<Place>& places, double length) {
+/// @param log_prior of an axis that stops there
+template <typename LogPrior>
+double occupiedLength(const std::vector<Place>& places, double length, const LogPrior& log_prior) {
   // Bands so high that a stem shows some points in each.
   constexpr double kShortest = 0.05;  // [m], or a share of a short axis
   constexpr double kShare = 0.1;
@@ -80,7 +90,7 @@ double occupiedLength(const std::vector<Place>& places, double length) {
   constexpr double kStemShape = 0.8;
   constexpr double kOtherShape = 0.5;
 
-  double best = 0.0;
+  double best = log_prior(0.0);
   double end = 0.0;
   constexpr int kPhases = 4;  // cuts closer than a band apart
   for (int phase = 0; phase < kPhases; ++phase) {
@@ -90,9 +100,11 @@ double occupiedLength(const std::vector<Place>& places, double length) {
     for (std::size_t k = 0; k < counts.size(); ++k) {
       sum += logCount(counts[k], stem_mean, kStemShape) -
              logCount(counts[k], kOtherShare * stem_mean, kOtherShape);
-      if (sum <= best) continue;
-      best = sum;
-      end = start + static_cast<double>(k + 1U) * band_height;
+      const double cut = start + static_cast<double>(k + 1U) * band_height;
+      const double score = sum + log_prior(cut);
+      if (score <= best) continue;
+      best = score;
+      end = cut;
     }
   }
   return end > 0.0 ? std::min(end, length) : length;
@@ -204,20 +216,56 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
   return base;
 }
 
+/// The same where a stem alone shows no such place where the stand would have it: hidden side
+/// branches show on one side only, and leaves reach up to them.
+double likelyTasselBase(const std::vector<Place>& places, double occupied,
+                        const StandLength& stand) {
+  constexpr std::size_t kWindow = 8U;
+  constexpr double kEmergence = 0.015;
+  constexpr double kShortest = 0.06;
+  constexpr double kLongest = 0.55;
+  constexpr double kLeastContrast = 2.5;
+  const Rings rings = countRings(places, occupied);
+  const std::size_t steps = rings.counts.size();
+  double best = std::log(kLeastContrast) + stand.logPrior(occupied);
+  double base = occupied;
+  for (std::size_t k = kWindow; k + kWindow <= steps; ++k) {
+    const double at = static_cast<double>(k) * kRingStep - kEmergence;
+    if (at < occupied - kLongest || at > occupied - kShortest) continue;
+    const double below = sumOf(rings.counts, k - kWindow, k);
+    const double above = sumOf(rings.counts, k, k + kWindow);
+    const double score = std::log((above + 1.0) / (below + 1.0)) + stand.logPrior(at);
+    if (score <= best) continue;
+    best = score;
+    base = at;
+  }
+  return base;
+}
+
+/// As findStemTop().
+double topAmong(const std::vector<Place>& places, const StemAxis& axis, const StandLength& stand) {
+  const auto length = static_cast<double>(axis.length());
+  const double occupied = occupiedLength(places, length, [](double) { return 0.0; });
+  if (opensAsWhorl(places, occupied)) {
+    const double likely = occupiedLength(
+        places, length, [&](double end) { return stand.logPrior(end - claspBelow(end, axis)); });
+    return likely - claspBelow(likely, axis);
+  }
+  constexpr double kLikely = 2.0;  // spreads of the stand
+  const double base = tasselBase(places, occupied);
+  if (!stand.known() ||
+      (base < occupied && std::abs(base - stand.typical) < kLikely * stand.spread)) {
+    return base;
+  }
+  return likelyTasselBase(places, occupied, stand);
+}
+
 }  // namespace
 
 float findStemTop(const std::vector<Eigen::Vector3f>& points,
-                  const std::vector<std::uint32_t>& members, const Midline& midline) {
-  const std::vector<Place> places = placesOf(points, members, midline);
-  const double length = static_cast<double>(midline.axis.length());
-  const double occupied = occupiedLength(places, length);
-  if (opensAsWhorl(places, occupied)) {
-    // The young leaves clasp one another above the stem's end until they have left its core.
-    constexpr double kClasp = 3.0;  // radii
-    const double radius = static_cast<double>(midline.axis.radiusAt(static_cast<float>(occupied)));
-    return static_cast<float>(occupied - std::min(kClasp * radius, 0.5 * occupied));
-  }
-  return static_cast<float>(tasselBase(places, occupied));
+                  const std::vector<std::uint32_t>& members, const Midline& midline,
+                  const StandLength& stand) {
+  return static_cast<float>(topAmong(placesOf(points, members, midline), midline.axis, stand));
 }
 
 }  // namespace field_phenotyping

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "field_phenotyping/segmentation/midline.hpp"
+#include "field_phenotyping/segmentation/stand_length.hpp"
 
 namespace field_phenotyping {
 
@@ -18,7 +19,9 @@ namespace field_phenotyping {
 ///
 /// @param points  local frame [m]
 /// @param members indices of the points near the midline, leaf points included
+/// @param stand   tips the scales where the points leave the end open
 float findStemTop(const std::vector<Eigen::Vector3f>& points,
-                  const std::vector<std::uint32_t>& members, const Midline& midline);
+                  const std::vector<std::uint32_t>& members, const Midline& midline,
+                  const StandLength& stand = {});
 
 }  // namespace field_phenotyping

@@ -1,0 +1,77 @@
+// The length that the stems of a stand have in common.
+
+#include <gtest/gtest.h>
+
+#include <random>
+#include <vector>
+
+#include "field_phenotyping/segmentation/stand_length.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+/// What stems of `typical` m show, of which the axes of a share run on.
+std::vector<double> shownLengths(double typical, double excess, double share, int count,
+                                 unsigned seed) {
+  std::mt19937 random(seed);
+  std::normal_distribution<double> length(typical, 0.05 * typical);
+  std::exponential_distribution<double> beyond(1.0 / excess);
+  std::bernoulli_distribution runs_on(share);
+  std::vector<double> shown;
+  for (int k = 0; k < count; ++k) {
+    const double true_length = length(random);
+    shown.push_back(runs_on(random) ? true_length + beyond(random) : true_length);
+  }
+  return shown;
+}
+
+TEST(StandLength, IsTheTypicalOne) {
+  for (const unsigned seed : {1U, 2U, 3U}) {
+    const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 30, seed));
+    ASSERT_TRUE(stand.known());
+    EXPECT_NEAR(stand.typical, 1.7, 0.06) << "seed " << seed;
+  }
+}
+
+TEST(StandLength, IsNotTheMedianWhereMostAxesRunOn) {
+  // As seedlings: the youngest leaves rise as steeply as the stem.
+  for (const unsigned seed : {4U, 5U, 6U}) {
+    const StandLength stand = fitStandLength(shownLengths(0.16, 0.06, 0.8, 40, seed));
+    EXPECT_NEAR(stand.typical, 0.16, 0.015) << "seed " << seed;
+    EXPECT_GT(stand.excess_share, 0.5);
+  }
+}
+
+TEST(StandLength, FewStemsSayNothing) {
+  const StandLength stand = fitStandLength({1.7, 1.6, 1.8, 1.7});
+  EXPECT_FALSE(stand.known());
+  EXPECT_DOUBLE_EQ(stand.logPrior(0.3), 0.0);
+  EXPECT_DOUBLE_EQ(stand.likelyLength(2.3), 2.3);
+  EXPECT_FALSE(fitStandLength({}).known());
+}
+
+TEST(StandLength, CutsOnlyWhatRanOn) {
+  const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 40, 7U));
+  EXPECT_DOUBLE_EQ(stand.likelyLength(1.2), 1.2) << "a short plant is short";
+  EXPECT_DOUBLE_EQ(stand.likelyLength(1.7), 1.7) << "what is usual stays";
+  EXPECT_NEAR(stand.likelyLength(2.2), 1.75, 0.1) << "the axis ran on into a leaf or the tassel";
+}
+
+TEST(StandLength, PriorHasHeavyTails) {
+  const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 40, 8U));
+  EXPECT_DOUBLE_EQ(stand.logPrior(stand.typical), 0.0);
+  EXPECT_LT(stand.logPrior(stand.typical + stand.spread), 0.0);
+  const double far = stand.logPrior(stand.typical - 5.0 * stand.spread);
+  EXPECT_LT(far, -3.0);
+  EXPECT_GT(far, -12.5) << "a normal one's";
+}
+
+TEST(StandLength, OrderDoesNotMatter) {
+  std::vector<double> shown = shownLengths(0.7, 0.1, 0.5, 20, 9U);
+  const StandLength one = fitStandLength(shown);
+  const StandLength other = fitStandLength({shown.rbegin(), shown.rend()});
+  EXPECT_NEAR(one.typical, other.typical, 1e-9);
+}
+
+}  // namespace
+}  // namespace field_phenotyping
