@@ -169,13 +169,13 @@ Ribbon fitRibbon(const Cells& cells, const NeighborGrid& grid,
   Eigen::Vector3f sum = Eigen::Vector3f::Zero();
   Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
   float count = 0.0F;
-  grid.forEachWithin(place, kShapeRadius, [&](std::uint32_t n, float) {
-    if (piece_of[n] != piece) return;
-    const Eigen::Vector3f offset = cells.centers[n] - place;
-    sum += offset;
-    squares.noalias() += offset * offset.transpose();
-    count += 1.0F;
-  });
+  grid.forEachOffsetWithin(place, kShapeRadius,
+                           [&](std::uint32_t n, const Eigen::Vector3f& offset, float) {
+                             if (piece_of[n] != piece) return;
+                             sum += offset;
+                             squares.noalias() += offset * offset.transpose();
+                             count += 1.0F;
+                           });
   Ribbon ribbon;
   constexpr float kLeastCells = 4.0F;
   if (count < kLeastCells) return ribbon;
@@ -280,32 +280,39 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
   constexpr float kBendScale = 0.26F;  // [rad] standard deviation of a bend
   constexpr float kAside = 0.006F;     // [m] half a cell: sideways steps that are no bend
   constexpr float kMostCost = 12.0F;
+  struct Place {
+    std::uint32_t piece;
+    std::uint32_t cell;
+  };
   std::vector<Eigen::Vector3f> centers;
-  std::vector<std::uint32_t> cell_of;
+  std::vector<Place> places;
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (pieces.of_cell[n] < 0) continue;
     centers.push_back(cells.centers[n]);
-    cell_of.push_back(n);
+    places.push_back({static_cast<std::uint32_t>(pieces.of_cell[n]), n});
   }
   std::vector<std::vector<Link>> links(pieces.cells.size());
   if (centers.empty()) return links;
   constexpr float kGridShare = 0.35F;  // of the reach: balls made of small cells are round
   const NeighborGrid grid(centers, kGridShare * reach);
   std::vector<float> least(pieces.cells.size(), kMostCost);
+  // [m^2] beyond which a gap alone costs more than the least so far; 0 for pieces that are done.
+  const auto squaredGap = [](float cost) { return cost * kGapScale * cost * kGapScale; };
+  std::vector<float> farthest(pieces.cells.size(), squaredGap(kMostCost));
   std::vector<std::uint32_t> touched;
   for (std::size_t piece = 0; piece < pieces.cells.size(); ++piece) {
     touched.clear();
+    farthest[piece] = 0.0F;
     for (const std::uint32_t a : pieces.cells[piece]) {
       const Eigen::Vector3f& direction = cells.shapes[a].direction;
       const bool is_low = ground.heightAbove(cells.centers[a]) < kWeedHeight;
       grid.forEachWithin(cells.centers[a], reach, [&](std::uint32_t k, float squared) {
-        const std::uint32_t b = cell_of[k];
-        const auto other = static_cast<std::uint32_t>(pieces.of_cell[b]);
-        if (other <= piece) return;
+        const std::uint32_t other = places[k].piece;
+        if (squared >= farthest[other]) return;
+        const std::uint32_t b = places[k].cell;
         // What is cheap to know first, since few pairs are better than the best so far.
         const float gap = std::sqrt(squared);
         const float gap_cost = gap / kGapScale;
-        if (gap_cost >= least[other]) return;
         const Eigen::Vector3f& onward = cells.shapes[b].direction;
         const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
         constexpr float kPerBend = 0.5F / (kBendScale * kBendScale);
@@ -325,12 +332,14 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
         }
         if (least[other] == kMostCost) touched.push_back(other);
         least[other] = cost;
+        farthest[other] = squaredGap(cost);
       });
     }
     for (const std::uint32_t other : touched) {
       links[piece].push_back({other, least[other]});
       links[other].push_back({static_cast<std::uint32_t>(piece), least[other]});
       least[other] = kMostCost;
+      farthest[other] = squaredGap(kMostCost);
     }
   }
   return links;
