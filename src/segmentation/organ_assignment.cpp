@@ -37,24 +37,22 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   Eigen::Array3f low = points.front().array();
   for (const Eigen::Vector3f& p : points) low = low.min(p.array());
-  std::vector<std::uint64_t> keys(points.size());
-  for (std::size_t i = 0; i < points.size(); ++i) {
+  std::vector<std::pair<std::uint64_t, std::uint32_t>> order(points.size());  // by cell, point
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
     const Eigen::Array3i cell = ((points[i].array() - low) / kCell).cast<int>();
-    keys[i] = static_cast<std::uint64_t>(cell.z()) << 42U |
-              static_cast<std::uint64_t>(cell.y()) << 21U | static_cast<std::uint64_t>(cell.x());
+    order[i] = {static_cast<std::uint64_t>(cell.z()) << 42U |
+                    static_cast<std::uint64_t>(cell.y()) << 21U |
+                    static_cast<std::uint64_t>(cell.x()),
+                i};
   }
-  std::vector<std::uint32_t> order(points.size());
-  std::iota(order.begin(), order.end(), 0U);
-  std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return keys[a] != keys[b] ? keys[a] < keys[b] : a < b;
-  });
+  std::sort(order.begin(), order.end());
 
   Cells cells;
   cells.of_point.resize(points.size());
   std::vector<float> counts;
   for (std::size_t k = 0; k < order.size(); ++k) {
-    const std::uint32_t i = order[k];
-    if (k == 0 || keys[i] != keys[order[k - 1]]) {
+    const std::uint32_t i = order[k].second;
+    if (k == 0 || order[k].first != order[k - 1].first) {
       cells.centers.emplace_back(Eigen::Vector3f::Zero());
       cells.owner.push_back(-1);
       counts.push_back(0.0F);
@@ -161,13 +159,13 @@ Ribbon fitRibbon(const Cells& cells, const NeighborGrid& grid,
   Eigen::Vector3f sum = Eigen::Vector3f::Zero();
   Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
   float count = 0.0F;
-  grid.forEachWithin(place, kShapeRadius, [&](std::uint32_t n, float) {
-    if (piece_of[n] != piece) return;
-    const Eigen::Vector3f offset = cells.centers[n] - place;
-    sum += offset;
-    squares.noalias() += offset * offset.transpose();
-    count += 1.0F;
-  });
+  grid.forEachOffsetWithin(place, kShapeRadius,
+                           [&](std::uint32_t n, const Eigen::Vector3f& offset, float) {
+                             if (piece_of[n] != piece) return;
+                             sum += offset;
+                             squares.noalias() += offset * offset.transpose();
+                             count += 1.0F;
+                           });
   Ribbon ribbon;
   constexpr float kLeastCells = 4.0F;
   if (count < kLeastCells) return ribbon;
@@ -239,7 +237,7 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
 
 /// Pieces of leaves; their cells get the shape of the piece alone.
 Pieces findPieces(Cells& cells, float noise) {
-  const NeighborGrid grid(cells.centers, kShapeRadius);
+  const NeighborGrid grid(cells.centers, 0.5F * kShapeRadius);
   Pieces pieces;
   pieces.of_cell = joinSmoothCells(cells, grid, noise);
   growPieces(cells, grid, pieces.of_cell);
@@ -272,53 +270,66 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
   constexpr float kBendScale = 0.26F;  // [rad] standard deviation of a bend
   constexpr float kAside = 0.006F;     // [m] half a cell: sideways steps that are no bend
   constexpr float kMostCost = 12.0F;
+  struct Place {
+    std::uint32_t piece;
+    std::uint32_t cell;
+  };
   std::vector<Eigen::Vector3f> centers;
-  std::vector<std::uint32_t> cell_of;
+  std::vector<Place> places;
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (pieces.of_cell[n] < 0) continue;
     centers.push_back(cells.centers[n]);
-    cell_of.push_back(n);
+    places.push_back({static_cast<std::uint32_t>(pieces.of_cell[n]), n});
   }
   std::vector<std::vector<Link>> links(pieces.cells.size());
   if (centers.empty()) return links;
-  const NeighborGrid grid(centers, reach);
+  constexpr float kGridShare = 0.35F;  // of the reach: balls made of small cells are round
+  const NeighborGrid grid(centers, kGridShare * reach);
   std::vector<float> least(pieces.cells.size(), kMostCost);
+  // [m^2] beyond which a gap alone costs more than the least so far; 0 for pieces that are done.
+  const auto squaredGap = [](float cost) { return cost * kGapScale * cost * kGapScale; };
+  std::vector<float> farthest(pieces.cells.size(), squaredGap(kMostCost));
   std::vector<std::uint32_t> touched;
   for (std::size_t piece = 0; piece < pieces.cells.size(); ++piece) {
     touched.clear();
+    farthest[piece] = 0.0F;
     for (const std::uint32_t a : pieces.cells[piece]) {
       const Eigen::Vector3f& direction = cells.shapes[a].direction;
       const bool is_low = ground.heightAbove(cells.centers[a]) < kWeedHeight;
       grid.forEachWithin(cells.centers[a], reach, [&](std::uint32_t k, float squared) {
-        const std::uint32_t b = cell_of[k];
-        const auto other = static_cast<std::uint32_t>(pieces.of_cell[b]);
-        if (other <= piece) return;
+        const std::uint32_t other = places[k].piece;
+        if (squared >= farthest[other]) return;
+        const std::uint32_t b = places[k].cell;
+        // What is cheap to know first, since few pairs are better than the best so far.
         const float gap = std::sqrt(squared);
         const float gap_cost = gap / kGapScale;
-        if (gap_cost >= least[other]) return;
+        const Eigen::Vector3f& onward = cells.shapes[b].direction;
+        const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
+        constexpr float kPerBend = 0.5F / (kBendScale * kBendScale);
+        if (gap_cost + kPerBend * whole >= least[other]) return;
         const Eigen::Vector3f step = cells.centers[b] - cells.centers[a];
         // Squares of angles, nearly: 2 - 2 cos.
         const auto bend = [&](const Eigen::Vector3f& along) {
           const float ahead = std::abs(step.dot(along));
           const float aside = std::sqrt(std::max(0.0F, squared - ahead * ahead)) - kAside;
-          return aside > 0.0F ? 2.0F - 2.0F * ahead / std::hypot(ahead, aside) : 0.0F;
+          return aside > 0.0F ? 2.0F - 2.0F * ahead / std::sqrt(ahead * ahead + aside * aside)
+                              : 0.0F;
         };
-        const Eigen::Vector3f& onward = cells.shapes[b].direction;
-        const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
-        const float cost =
-            gap_cost + 0.5F * (bend(direction) + bend(onward) + whole) / (kBendScale * kBendScale);
+        const float cost = gap_cost + kPerBend * (bend(direction) + bend(onward) + whole);
         if (cost >= least[other]) return;
         if (gap > kNearReach && (is_low || ground.heightAbove(cells.centers[b]) < kWeedHeight)) {
           return;
         }
         if (least[other] == kMostCost) touched.push_back(other);
         least[other] = cost;
+        farthest[other] = squaredGap(cost);
       });
     }
     for (const std::uint32_t other : touched) {
       links[piece].push_back({other, least[other]});
       links[other].push_back({static_cast<std::uint32_t>(piece), least[other]});
       least[other] = kMostCost;
+      farthest[other] = squaredGap(kMostCost);
     }
   }
   return links;

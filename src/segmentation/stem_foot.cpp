@@ -102,8 +102,9 @@ StemAxis settleFoot(const Block& block, const NeighborGrid& grid, const Midline&
       constexpr float kFew = 1.0F;      // point that chance puts there
       float near = 0.0F;
       for (const Drop& drop : slab) {
-        const float off = (drop.shift + drop.depth * slope).norm() / kWidth;
-        near += std::exp(-0.5F * off * off);
+        const float off = (drop.shift + drop.depth * slope).squaredNorm() / (kWidth * kWidth);
+        constexpr float kFar = 60.0F;  // exp(-30) changes nothing
+        if (off < kFar) near += std::exp(-0.5F * off);
       }
       score += std::log1p(near / (kFew + 0.1F * static_cast<float>(slab.size())));
     }

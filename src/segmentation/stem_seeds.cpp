@@ -37,11 +37,10 @@ struct Vote {
 
 /// Whether the surface at a point is a flat sheet: a stem curves round within its own radius. Noise
 /// as large as that curve hides the difference, and then nothing counts as a leaf.
-bool isFlat(const Eigen::Vector3f& point, const Block& block, const NeighborGrid& grid,
-            float radius) {
+bool isFlat(const Eigen::Vector3f& point, const NeighborGrid& grid, float radius) {
   constexpr std::uint32_t kMinNeighbors = 12U;
   constexpr float kFlat = 0.012F;
-  const LocalShape fine = computeLocalShape(point, block.cloud.points, grid, radius);
+  const LocalShape fine = computeLocalShape(point, grid, radius);
   return fine.neighbors >= kMinNeighbors && fine.curvature < kFlat;
 }
 
@@ -58,7 +57,7 @@ Vote voteOf(std::size_t i, const Block& block, const NeighborGrid& grid,
   const float upright = (shape.direction.z() - min_cosine) / (1.0F - min_cosine);
   const float weight = shape.linearity * std::sqrt(upright);
   constexpr float kMinWeight = 0.25F;
-  if (weight < kMinWeight || isFlat(point, block, grid, 0.5F * static_cast<float>(p.seed_radius))) {
+  if (weight < kMinWeight || isFlat(point, grid, 0.5F * static_cast<float>(p.seed_radius))) {
     return vote;
   }
   vote.slope = shape.direction.head<2>() / shape.direction.z();

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
@@ -32,31 +33,24 @@ class NeighborGrid {
   /// The same with visit(index, point - center, squared distance), in the same order.
   template <class Visit>
   void forEachOffsetWithin(const Eigen::Vector3f& center, float radius, Visit&& visit) const {
-    if (points_.empty()) return;
     const float squared_radius = radius * radius;
-    const float reach = radius + slack_;
-    const int low_z = cellAt(center.z() - reach, 2);
-    const int high_z = cellAt(center.z() + reach, 2);
-    const int low_y = cellAt(center.y() - reach, 1);
-    const int high_y = cellAt(center.y() + reach, 1);
-    for (int z = low_z; z <= high_z; ++z) {
-      const float off_z = outside(center.z(), z, 2);
-      const float left_z = reach * reach - off_z * off_z;
-      for (int y = low_y; y <= high_y; ++y) {
-        // Only the part of the row that the sphere reaches.
-        const float off_y = outside(center.y(), y, 1);
-        const float left = left_z - off_y * off_y;
-        if (left < 0.0F) continue;
-        const float half = std::sqrt(left) + slack_;
-        // Cells of one x-run are neighbours in memory.
-        const Run run = findRun(cellAt(center.x() - half, 0), cellAt(center.x() + half, 0), y, z);
-        for (std::uint32_t k = run.begin; k < run.end; ++k) {
-          const Eigen::Vector3f offset = points_[k] - center;
-          const float squared_distance = offset.squaredNorm();
-          if (squared_distance <= squared_radius) visit(order_[k], offset, squared_distance);
-        }
+    forEachRun(center, center, radius, [&](const Run& run) {
+      for (std::uint32_t k = run.begin; k < run.end; ++k) {
+        const Eigen::Vector3f offset = points_[k] - center;
+        const float squared_distance = offset.squaredNorm();
+        if (squared_distance <= squared_radius) visit(order_[k], offset, squared_distance);
       }
-    }
+    });
+  }
+
+  /// Calls visit(point) for every point within `radius` of the box [low, high] and for some a
+  /// little farther off, in an order that depends only on the points.
+  template <class Visit>
+  void forEachNearBox(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float radius,
+                      Visit&& visit) const {
+    forEachRun(low, high, radius, [&](const Run& run) {
+      for (std::uint32_t k = run.begin; k < run.end; ++k) visit(points_[k]);
+    });
   }
 
   /// Indices of the points within `radius` of `center`, appended to the emptied `found`.
@@ -68,47 +62,85 @@ class NeighborGrid {
 
   std::size_t size() const { return points_.size(); }
 
+  /// Source index of the k-th point by cells: neighbours in this order are near in space.
+  std::uint32_t sorted(std::size_t k) const { return order_[k]; }
+  /// Whether the k-th point by cells and another one lie in one cell.
+  bool inOneCell(std::size_t k, std::size_t other) const {
+    return cellsOf(points_[k]) == cellsOf(points_[other]);
+  }
+
  private:
   struct Run {
     std::uint32_t begin;
     std::uint32_t end;
   };
 
+  /// Calls visit(run) for runs of sorted points that hold all within `radius` of [low, high].
+  template <class Visit>
+  void forEachRun(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float radius,
+                  Visit&& visit) const {
+    if (points_.empty()) return;
+    const float reach = radius + slack_;
+    const int low_z = cellAt(low.z() - reach, 2);
+    const int high_z = cellAt(high.z() + reach, 2);
+    const int low_y = cellAt(low.y() - reach, 1);
+    const int high_y = cellAt(high.y() + reach, 1);
+    for (int z = low_z; z <= high_z; ++z) {
+      const float off_z = outside(low.z(), high.z(), z, 2);
+      const float left_z = reach * reach - off_z * off_z;
+      for (int y = low_y; y <= high_y; ++y) {
+        // Only the part of the row that the sphere reaches; its cells are neighbours in memory.
+        const float off_y = outside(low.y(), high.y(), y, 1);
+        const float left = left_z - off_y * off_y;
+        if (left < 0.0F) continue;
+        const float half = std::sqrt(left) + slack_;
+        visit(findRun(cellAt(low.x() - half, 0), cellAt(high.x() + half, 0), y, z));
+      }
+    }
+  }
+
+  std::array<int, 3> cellsOf(const Eigen::Vector3f& point) const {
+    const Eigen::Array3f at = (point.array() - corner_) / cell_;
+    return {static_cast<int>(at.x()), static_cast<int>(at.y()), static_cast<int>(at.z())};
+  }
   /// The cell of a coordinate, or the nearest one.
   int cellAt(float position, int axis) const {
     const float at = (position - corner_[axis]) * inverse_cell_;
     return at > 0.0F ? static_cast<int>(std::min(at, last_[axis])) : 0;
   }
-  /// How far a coordinate lies outside a cell, at least.
-  float outside(float position, int cell, int axis) const {
-    const float low = corner_[axis] + static_cast<float>(cell) * cell_;
-    return std::max({0.0F, low - position - slack_, position - low - cell_ - slack_});
+  /// How far a cell lies outside the coordinates [low, high], at least.
+  float outside(float low, float high, int cell, int axis) const {
+    const float begin = corner_[axis] + static_cast<float>(cell) * cell_;
+    return std::max({0.0F, begin - high - slack_, low - begin - cell_ - slack_});
   }
   Run findRun(int low_x, int high_x, int y, int z) const {
-    if (column_begin_.empty()) return searchRun(low_x, high_x, y, z);
-    const std::size_t column =
-        static_cast<std::size_t>(z) * columns_y_ + static_cast<std::size_t>(y);
-    Run run{column_begin_[column], column_begin_[column + 1U]};
-    constexpr std::uint32_t kLong = 32U;  // more are worth a search
-    if (run.end - run.begin > kLong) return narrowRun(run, low_x, high_x);
+    const std::size_t row = static_cast<std::size_t>(z) * rows_y_ + static_cast<std::size_t>(y);
+    if (begin_.empty()) return searchRun(low_x, high_x, row);
+    const std::size_t first = row * buckets_x_ + (static_cast<std::size_t>(low_x) >> bucket_shift_);
+    const std::size_t last = row * buckets_x_ + (static_cast<std::size_t>(high_x) >> bucket_shift_);
+    Run run{begin_[first], begin_[last + 1U]};
+    if (bucket_shift_ == 0U) return run;
     while (run.begin < run.end && cell_x_[run.begin] < low_x) ++run.begin;
     while (run.begin < run.end && cell_x_[run.end - 1U] > high_x) --run.end;
     return run;
   }
-  Run narrowRun(const Run& column, int low_x, int high_x) const;
-  Run searchRun(int low_x, int high_x, int y, int z) const;
+  Run searchRun(int low_x, int high_x, std::size_t row) const;
 
   float cell_;
   float inverse_cell_;
   float slack_ = 0.0F;  // [m] that rounding may move a point across a cell's border
   Eigen::Array3f corner_ = Eigen::Array3f::Zero();
   Eigen::Array3f last_ = Eigen::Array3f::Zero();  // cell along each axis
-  std::size_t columns_y_ = 1U;
-  std::vector<int> cell_x_;                  // of each sorted point
-  std::vector<std::uint32_t> order_;         // source index of each sorted point
-  std::vector<Eigen::Vector3f> points_;      // sorted
-  std::vector<std::uint32_t> column_begin_;  // dense index of (y, z) columns when small enough,
-  std::vector<std::uint64_t> columns_;       // or the column of each sorted point
+  std::size_t rows_y_ = 1U;
+  std::vector<int> cell_x_;              // of each sorted point
+  std::vector<std::uint32_t> order_;     // source index of each sorted point
+  std::vector<Eigen::Vector3f> points_;  // sorted
+  // Where the points of 2^bucket_shift_ cells of a row begin, if they are not too many buckets, or
+  // else the row of each sorted point.
+  std::vector<std::uint32_t> begin_;
+  unsigned bucket_shift_ = 0U;
+  std::size_t buckets_x_ = 1U;
+  std::vector<std::uint64_t> rows_;
 };
 
 }  // namespace field_phenotyping

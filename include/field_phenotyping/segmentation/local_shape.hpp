@@ -19,10 +19,8 @@ struct LocalShape {
 
 /// Local shape of the cloud within `radius` [m] of `point`; neutral where fewer than five points
 /// are found.
-/// @param grid over `points`
-LocalShape computeLocalShape(const Eigen::Vector3f& point,
-                             const std::vector<Eigen::Vector3f>& points, const NeighborGrid& grid,
-                             float radius);
+/// @param grid over the cloud
+LocalShape computeLocalShape(const Eigen::Vector3f& point, const NeighborGrid& grid, float radius);
 
 /// Local shapes of `points` within `radius` [m]; neutral where fewer than five neighbours are
 /// found.
