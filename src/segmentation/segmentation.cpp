@@ -85,9 +85,7 @@ Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLeng
   Midline longer = midline;
   longer.axis = axis.extendedBy(longest - axis.length());
   const std::vector<std::uint32_t> around = pointsAround(scene, longer.axis, kAround * max_radius);
-  const float top = findStemTop(scene.points, around, longer, stand);
-  midline.axis =
-      longer.axis.below(static_cast<float>(stand.likelyLength(static_cast<double>(top))));
+  midline.axis = longer.axis.below(findStemTop(scene.points, around, longer, stand));
   return midline;
 }
 
