@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <iterator>
 #include <utility>
 
@@ -84,24 +85,40 @@ Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLeng
   Midline longer = midline;
   longer.axis = axis.extendedBy(longest - axis.length());
   const std::vector<std::uint32_t> around = pointsAround(scene, longer.axis, kAround * max_radius);
-  const float top = findStemTop(scene.points, around, longer, stand);
-  midline.axis =
-      longer.axis.below(static_cast<float>(stand.likelyLength(static_cast<double>(top))));
+  midline.axis = longer.axis.below(findStemTop(scene.points, around, longer, stand));
   return midline;
+}
+
+/// How far along a stem's axis the canopy reaches there [m].
+double canopyAlong(const GrowthScene& scene, const StemAxis& axis, float plant_height) {
+  constexpr float kAround = 0.10F;    // [m] half of what plants stand apart
+  constexpr float kHighest = 2.0F;    // plant_height
+  constexpr std::size_t kStray = 4U;  // points above it
+  const StemAxis whole = axis.extendedBy(std::max(kHighest * plant_height - axis.length(), 0.0F));
+  std::vector<float> along;
+  for (const std::uint32_t i : pointsAround(scene, whole, kAround)) {
+    along.push_back(whole.project(scene.points[i]).arc_length);
+  }
+  if (along.size() <= kStray) return static_cast<double>(axis.length());
+  const auto high = along.begin() + kStray;
+  std::nth_element(along.begin(), high, along.end(), std::greater<>());
+  return static_cast<double>(std::max(*high, axis.length()));
 }
 
 /// Lets the stems learn from one another where they end.
 void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
               std::vector<GrownStem>& stems) {
-  std::vector<double> lengths;
-  for (const GrownStem& stem : stems) {
-    lengths.push_back(static_cast<double>(stem.midline.axis.length()));
-  }
-  const StandLength stand = fitStandLength(lengths);
-  if (!stand.known()) return;
+  std::vector<double> lengths(stems.size());
+  std::vector<double> heights(stems.size());
   parallelFor(stems.size(), [&](std::size_t s) {
+    lengths[s] = static_cast<double>(stems[s].midline.axis.length());
+    heights[s] = canopyAlong(scene, stems[s].midline.axis, plant_height);
+  });
+  const std::vector<StandLength> stands = standLengths(lengths, heights);
+  parallelFor(stems.size(), [&](std::size_t s) {
+    if (!stands[s].known()) return;
     stems[s].midline =
-        withLikelyEnd(scene, std::move(stems[s].midline), stand, max_radius, plant_height);
+        withLikelyEnd(scene, std::move(stems[s].midline), stands[s], max_radius, plant_height);
   });
 }
 

@@ -42,44 +42,65 @@ double StandLength::likelyLength(double shown) const {
   return std::min(shown, typical + spread * spread / excess);
 }
 
-StandLength fitStandLength(const std::vector<double>& shown) {
+StandLength StandLength::scaledBy(double factor) const {
+  return {typical * factor, spread * factor, excess * factor, excess_share};
+}
+
+StandFit fitStandLength(const std::vector<double>& shown, double relative_spread) {
   constexpr std::size_t kLeastStems = 8U;
-  constexpr double kSpread = 0.06;   // of the length, that plants of one stand differ by
   constexpr double kStrange = 0.03;  // share of stems that are nothing of the kind
   constexpr double kLowest = 0.5;    // of the median shown
   constexpr double kHighest = 1.15;
   constexpr int kSteps = 65;
-  StandLength best;
+  StandFit best;
   if (shown.size() < kLeastStems) return best;
   std::vector<double> sorted = shown;
   const double median = medianOf(sorted);
-  double most = -std::numeric_limits<double>::infinity();
+  best.log_likelihood = -std::numeric_limits<double>::infinity();
+  const auto tryOne = [&](StandLength stand) {
+    std::vector<double> ended;
+    std::vector<double> ran_on;
+    for (const double length : shown) {
+      ended.push_back(lengthDensity(stand, length));
+      ran_on.push_back(excessDensity(stand, length));
+    }
+    for (const double share : {0.0, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9}) {
+      stand.excess_share = share;
+      double sum = 0.0;
+      for (std::size_t i = 0; i < shown.size(); ++i) {
+        sum += std::log((1.0 - kStrange) * ((1.0 - share) * ended[i] + share * ran_on[i]) +
+                        kStrange / (2.0 * median));
+      }
+      if (sum > best.log_likelihood) best = {stand, sum};
+    }
+  };
   for (int k = 0; k <= kSteps; ++k) {
-    StandLength stand;
-    stand.typical = median * (kLowest + (kHighest - kLowest) * k / kSteps);
-    stand.spread = kSpread * stand.typical;
+    const double typical = median * (kLowest + (kHighest - kLowest) * k / kSteps);
     for (const double excess : {0.03, 0.06, 0.1, 0.2, 0.35}) {
-      stand.excess = excess * stand.typical;
-      std::vector<double> ended;
-      std::vector<double> ran_on;
-      for (const double length : shown) {
-        ended.push_back(lengthDensity(stand, length));
-        ran_on.push_back(excessDensity(stand, length));
-      }
-      for (const double share : {0.0, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9}) {
-        stand.excess_share = share;
-        double sum = 0.0;
-        for (std::size_t i = 0; i < shown.size(); ++i) {
-          sum += std::log((1.0 - kStrange) * ((1.0 - share) * ended[i] + share * ran_on[i]) +
-                          kStrange / (2.0 * median));
-        }
-        if (sum <= most) continue;
-        most = sum;
-        best = stand;
-      }
+      tryOne({typical, relative_spread * typical, excess * typical, 0.0});
     }
   }
   return best;
+}
+
+std::vector<StandLength> standLengths(const std::vector<double>& shown,
+                                      const std::vector<double>& heights) {
+  std::vector<double> shares;
+  double log_scale = 0.0;
+  for (std::size_t i = 0; i < shown.size(); ++i) {
+    shares.push_back(shown[i] / heights[i]);
+    log_scale += std::log(heights[i]);
+  }
+  constexpr double kLengthSpread = 0.06;  // of the length, that plants of one stand differ by
+  constexpr double kShareSpread = 0.03;   // of the share, where the heights say much
+  const StandFit alike = fitStandLength(shown, kLengthSpread);
+  const StandFit in_proportion = fitStandLength(shares, kShareSpread);
+  const bool proportional = in_proportion.log_likelihood - log_scale > alike.log_likelihood;
+  std::vector<StandLength> stands;
+  for (const double height : heights) {
+    stands.push_back(proportional ? in_proportion.stand.scaledBy(height) : alike.stand);
+  }
+  return stands;
 }
 
 }  // namespace field_phenotyping

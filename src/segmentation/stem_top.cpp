@@ -249,15 +249,12 @@ double topAmong(const std::vector<Place>& places, const StemAxis& axis, const St
   if (opensAsWhorl(places, occupied)) {
     const double likely = occupiedLength(
         places, length, [&](double end) { return stand.logPrior(end - claspBelow(end, axis)); });
-    return likely - claspBelow(likely, axis);
+    return stand.likelyLength(likely - claspBelow(likely, axis));
   }
-  constexpr double kLikely = 2.0;  // spreads of the stand
+  // What a tassel shows clearly needs no stand.
   const double base = tasselBase(places, occupied);
-  if (!stand.known() ||
-      (base < occupied && std::abs(base - stand.typical) < kLikely * stand.spread)) {
-    return base;
-  }
-  return likelyTasselBase(places, occupied, stand);
+  if (!stand.known() || base < occupied) return base;
+  return stand.likelyLength(likelyTasselBase(places, occupied, stand));
 }
 
 }  // namespace

@@ -10,6 +10,8 @@
 namespace field_phenotyping {
 namespace {
 
+constexpr double kSpread = 0.06;
+
 /// What stems of `typical` m show, of which the axes of a share run on.
 std::vector<double> shownLengths(double typical, double excess, double share, int count,
                                  unsigned seed) {
@@ -27,7 +29,7 @@ std::vector<double> shownLengths(double typical, double excess, double share, in
 
 TEST(StandLength, IsTheTypicalOne) {
   for (const unsigned seed : {1U, 2U, 3U}) {
-    const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 30, seed));
+    const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 30, seed), kSpread).stand;
     ASSERT_TRUE(stand.known());
     EXPECT_NEAR(stand.typical, 1.7, 0.06) << "seed " << seed;
   }
@@ -36,29 +38,31 @@ TEST(StandLength, IsTheTypicalOne) {
 TEST(StandLength, IsNotTheMedianWhereMostAxesRunOn) {
   // As seedlings: the youngest leaves rise as steeply as the stem.
   for (const unsigned seed : {4U, 5U, 6U}) {
-    const StandLength stand = fitStandLength(shownLengths(0.16, 0.06, 0.8, 40, seed));
+    const StandLength stand =
+        fitStandLength(shownLengths(0.16, 0.06, 0.8, 40, seed), kSpread).stand;
     EXPECT_NEAR(stand.typical, 0.16, 0.015) << "seed " << seed;
     EXPECT_GT(stand.excess_share, 0.5);
   }
 }
 
 TEST(StandLength, FewStemsSayNothing) {
-  const StandLength stand = fitStandLength({1.7, 1.6, 1.8, 1.7});
+  const StandLength stand = fitStandLength({1.7, 1.6, 1.8, 1.7}, kSpread).stand;
   EXPECT_FALSE(stand.known());
   EXPECT_DOUBLE_EQ(stand.logPrior(0.3), 0.0);
   EXPECT_DOUBLE_EQ(stand.likelyLength(2.3), 2.3);
-  EXPECT_FALSE(fitStandLength({}).known());
+  EXPECT_FALSE(fitStandLength({}, kSpread).stand.known());
+  EXPECT_TRUE(standLengths({}, {}).empty());
 }
 
 TEST(StandLength, CutsOnlyWhatRanOn) {
-  const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 40, 7U));
+  const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 40, 7U), kSpread).stand;
   EXPECT_DOUBLE_EQ(stand.likelyLength(1.2), 1.2) << "a short plant is short";
   EXPECT_DOUBLE_EQ(stand.likelyLength(1.7), 1.7) << "what is usual stays";
   EXPECT_NEAR(stand.likelyLength(2.2), 1.75, 0.1) << "the axis ran on into a leaf or the tassel";
 }
 
 TEST(StandLength, PriorHasHeavyTails) {
-  const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 40, 8U));
+  const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 40, 8U), kSpread).stand;
   EXPECT_DOUBLE_EQ(stand.logPrior(stand.typical), 0.0);
   EXPECT_LT(stand.logPrior(stand.typical + stand.spread), 0.0);
   const double far = stand.logPrior(stand.typical - 5.0 * stand.spread);
@@ -66,10 +70,42 @@ TEST(StandLength, PriorHasHeavyTails) {
   EXPECT_GT(far, -12.5) << "a normal one's";
 }
 
+TEST(StandLength, PlotsOfTwoVarietiesDifferInHeight) {
+  // Their stems are the same share of their heights; the tall ones have not run on.
+  std::vector<double> heights = shownLengths(1.6, 0.1, 0.0, 20, 10U);
+  for (const double height : shownLengths(2.4, 0.1, 0.0, 20, 11U)) heights.push_back(height);
+  std::mt19937 random(12U);
+  std::normal_distribution<double> share(0.83, 0.015);
+  std::vector<double> shown;
+  for (const double height : heights) shown.push_back(share(random) * height);
+  for (std::size_t k = 0; k < shown.size(); k += 8U) shown[k] = heights[k];  // to the tassel's tip
+  const std::vector<StandLength> stands = standLengths(shown, heights);
+  for (std::size_t k = 0; k < shown.size(); ++k) {
+    EXPECT_NEAR(stands[k].typical, 0.83 * heights[k], 0.03 * heights[k]);
+    if (k % 8U == 0U) {
+      EXPECT_NEAR(stands[k].likelyLength(shown[k]), 0.83 * heights[k], 0.03 * heights[k]);
+    } else {
+      EXPECT_NEAR(stands[k].likelyLength(shown[k]), shown[k], 0.02 * heights[k]);
+    }
+  }
+}
+
+TEST(StandLength, HeightsThatSayNothingAreLeftOut) {
+  // As where leaves of the neighbours reach over the stems.
+  std::mt19937 random(13U);
+  std::uniform_real_distribution<double> height(0.8, 1.6);
+  const std::vector<double> shown = shownLengths(0.7, 0.1, 0.2, 30, 14U);
+  std::vector<double> heights;
+  for (std::size_t k = 0; k < shown.size(); ++k) heights.push_back(height(random));
+  for (const StandLength& stand : standLengths(shown, heights)) {
+    EXPECT_NEAR(stand.typical, 0.7, 0.03);
+  }
+}
+
 TEST(StandLength, OrderDoesNotMatter) {
   std::vector<double> shown = shownLengths(0.7, 0.1, 0.5, 20, 9U);
-  const StandLength one = fitStandLength(shown);
-  const StandLength other = fitStandLength({shown.rbegin(), shown.rend()});
+  const StandLength one = fitStandLength(shown, kSpread).stand;
+  const StandLength other = fitStandLength({shown.rbegin(), shown.rend()}, kSpread).stand;
   EXPECT_NEAR(one.typical, other.typical, 1e-9);
 }
 

@@ -18,6 +18,9 @@ struct StandLength {
 
   bool known() const { return spread > 0.0; }
 
+  /// The same for plants taller by that factor.
+  StandLength scaledBy(double factor) const;
+
   /// Log of how much less likely a stem of that length is than a typical one; 0 if nothing is
   /// known. Heavy tails: some plants are just short.
   double logPrior(double length) const;
@@ -26,8 +29,21 @@ struct StandLength {
   double likelyLength(double shown) const;
 };
 
-/// Maximum likelihood over the lengths [m] that the stems of a block show. Unknown for few stems.
-/// Deterministic; thread-safe.
-StandLength fitStandLength(const std::vector<double>& shown);
+struct StandFit {
+  StandLength stand;            ///< unknown for few stems
+  double log_likelihood = 0.0;  ///< of all the lengths shown
+};
+
+/// Maximum likelihood over the lengths [m] that the stems of a block show. Deterministic;
+/// thread-safe.
+/// @param relative_spread of the stems, as a share of the typical length
+StandFit fitStandLength(const std::vector<double>& shown, double relative_spread);
+
+/// What the stand says of each of its stems: all are about as long, or a share of the height that
+/// the canopy has there, whichever explains better what they show. Plots of different varieties
+/// differ in height.
+/// @param heights of the canopy at each stem [m], > 0
+std::vector<StandLength> standLengths(const std::vector<double>& shown,
+                                      const std::vector<double>& heights);
 
 }  // namespace field_phenotyping
