@@ -40,7 +40,9 @@ std::vector<std::uint8_t> radiusOutlierFilter(const PointCloud& cloud, float rad
     grid = NeighborGrid(cloud.points, radius);
   }
   for (std::size_t i = 0; i < cloud.size(); ++i) {
-    keep[i] = countNeighbors(grid, cloud.points[i], radius) >= min_neighbors ? 1U : 0U;
+    // The point finds itself.
+    const auto wanted = static_cast<std::uint32_t>(min_neighbors) + 1U;
+    keep[i] = grid.hasWithin(cloud.points[i], radius, wanted) ? 1U : 0U;
   }
   return keep;
 }

@@ -8,10 +8,12 @@
 #include <limits>
 #include <numeric>
 #include <queue>
+#include <utility>
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
+#include "field_phenotyping/segmentation/neighborhood.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -153,29 +155,27 @@ struct Ribbon {
   float spread = 0.0F;  // [m] standard deviation of its width
 };
 
-Ribbon fitRibbon(const Cells& cells, const NeighborGrid& grid,
-                 const std::vector<std::int32_t>& piece_of, const Eigen::Vector3f& place,
-                 std::int32_t piece) {
-  Eigen::Vector3f sum = Eigen::Vector3f::Zero();
-  Eigen::Matrix3f squares = Eigen::Matrix3f::Zero();
-  float count = 0.0F;
-  grid.forEachOffsetWithin(place, kShapeRadius,
-                           [&](std::uint32_t n, const Eigen::Vector3f& offset, float) {
-                             if (piece_of[n] != piece) return;
-                             sum += offset;
-                             squares.noalias() += offset * offset.transpose();
-                             count += 1.0F;
-                           });
+/// Cells round a place, tagged with their pieces.
+void gatherAround(const NeighborGrid& grid, const std::vector<std::int32_t>& piece_of,
+                  const Eigen::Vector3f& place, Neighborhood& around) {
+  around.clear();
+  grid.forEachNearBox(place, place, kShapeRadius, [&](std::uint32_t n, const Eigen::Vector3f& at) {
+    if (piece_of[n] >= 0) around.add(at, piece_of[n]);
+  });
+  around.close();
+}
+
+Ribbon fitRibbon(const Neighborhood& around, const Eigen::Vector3f& place, std::int32_t piece) {
+  const Moments moments = around.momentsAbout(place, kShapeRadius, piece);
   Ribbon ribbon;
   constexpr float kLeastCells = 4.0F;
-  if (count < kLeastCells) return ribbon;
-  sum /= count;
+  if (moments.count < kLeastCells) return ribbon;
   Eigen::SelfAdjointEigenSolver<Eigen::Matrix3f> solver;
-  solver.computeDirect(squares / count - sum * sum.transpose());
+  solver.computeDirect(moments.covariance());
   const Eigen::Vector3f values = solver.eigenvalues().cwiseMax(0.0F);
   if (!(values[2] > 0.0F)) return ribbon;
   ribbon.known = true;
-  ribbon.mean = place + sum;
+  ribbon.mean = place + moments.mean();
   ribbon.direction = solver.eigenvectors().col(2);
   if (ribbon.direction.z() < 0.0F) ribbon.direction = -ribbon.direction;
   ribbon.normal = solver.eigenvectors().col(0);
@@ -204,6 +204,7 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
     if (piece_of[n] >= 0) listAround(n, front);
   }
   std::vector<std::int32_t> touching;
+  Neighborhood around;
   for (int round = 0; round < kMostRounds && !front.empty(); ++round) {
     std::vector<std::pair<std::uint32_t, std::int32_t>> grown;
     for (const std::uint32_t n : front) {
@@ -215,10 +216,11 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
           touching.push_back(piece);
         }
       });
+      gatherAround(grid, piece_of, cells.centers[n], around);
       float least = kOffset;
       std::int32_t best = -1;
       for (const std::int32_t piece : touching) {
-        const Ribbon ribbon = fitRibbon(cells, grid, piece_of, cells.centers[n], piece);
+        const Ribbon ribbon = fitRibbon(around, cells.centers[n], piece);
         if (!ribbon.known) continue;
         const Eigen::Vector3f offset = cells.centers[n] - ribbon.mean;
         const float out = std::abs(offset.dot(ribbon.normal));
@@ -241,6 +243,7 @@ Pieces findPieces(Cells& cells, float noise) {
   Pieces pieces;
   pieces.of_cell = joinSmoothCells(cells, grid, noise);
   growPieces(cells, grid, pieces.of_cell);
+  Neighborhood around;
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     const std::int32_t piece = pieces.of_cell[n];
     if (piece < 0) continue;
@@ -248,7 +251,8 @@ Pieces findPieces(Cells& cells, float noise) {
       pieces.cells.resize(static_cast<std::size_t>(piece) + 1U);
     }
     pieces.cells[static_cast<std::size_t>(piece)].push_back(n);
-    const Ribbon ribbon = fitRibbon(cells, grid, pieces.of_cell, cells.centers[n], piece);
+    gatherAround(grid, pieces.of_cell, cells.centers[n], around);
+    const Ribbon ribbon = fitRibbon(around, cells.centers[n], piece);
     if (!ribbon.known) continue;
     cells.shapes[n].direction = ribbon.direction;
     cells.shapes[n].normal = ribbon.normal;
@@ -290,15 +294,27 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
   const auto squaredGap = [](float cost) { return cost * kGapScale * cost * kGapScale; };
   std::vector<float> farthest(pieces.cells.size(), squaredGap(kMostCost));
   std::vector<std::uint32_t> touched;
+  std::vector<std::pair<std::uint32_t, float>> near(centers.size() + 1U);  // place, squared gap
   for (std::size_t piece = 0; piece < pieces.cells.size(); ++piece) {
     touched.clear();
     farthest[piece] = 0.0F;
     for (const std::uint32_t a : pieces.cells[piece]) {
       const Eigen::Vector3f& direction = cells.shapes[a].direction;
       const bool is_low = ground.heightAbove(cells.centers[a]) < kWeedHeight;
-      grid.forEachWithin(cells.centers[a], reach, [&](std::uint32_t k, float squared) {
+      // Gathered first, without a branch per cell, since most are of no use.
+      std::size_t count = 0U;
+      grid.forEachNearBox(cells.centers[a], cells.centers[a], reach,
+                          [&](std::uint32_t k, const Eigen::Vector3f& at) {
+                            const float squared = (at - cells.centers[a]).squaredNorm();
+                            near[count] = {k, squared};
+                            count += static_cast<std::size_t>(
+                                static_cast<unsigned>(squared <= reach * reach) &
+                                static_cast<unsigned>(squared < farthest[places[k].piece]));
+                          });
+      for (std::size_t j = 0; j < count; ++j) {
+        const auto [k, squared] = near[j];
         const std::uint32_t other = places[k].piece;
-        if (squared >= farthest[other]) return;
+        if (squared >= farthest[other]) continue;
         const std::uint32_t b = places[k].cell;
         // What is cheap to know first, since few pairs are better than the best so far.
         const float gap = std::sqrt(squared);
@@ -306,24 +322,24 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
         const Eigen::Vector3f& onward = cells.shapes[b].direction;
         const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
         constexpr float kPerBend = 0.5F / (kBendScale * kBendScale);
-        if (gap_cost + kPerBend * whole >= least[other]) return;
+        if (gap_cost + kPerBend * whole >= least[other]) continue;
         const Eigen::Vector3f step = cells.centers[b] - cells.centers[a];
         // Squares of angles, nearly: 2 - 2 cos.
-        const auto bend = [&](const Eigen::Vector3f& along) {
+        const auto bend = [&, squared = squared](const Eigen::Vector3f& along) {
           const float ahead = std::abs(step.dot(along));
           const float aside = std::sqrt(std::max(0.0F, squared - ahead * ahead)) - kAside;
           return aside > 0.0F ? 2.0F - 2.0F * ahead / std::sqrt(ahead * ahead + aside * aside)
                               : 0.0F;
         };
         const float cost = gap_cost + kPerBend * (bend(direction) + bend(onward) + whole);
-        if (cost >= least[other]) return;
+        if (cost >= least[other]) continue;
         if (gap > kNearReach && (is_low || ground.heightAbove(cells.centers[b]) < kWeedHeight)) {
-          return;
+          continue;
         }
         if (least[other] == kMostCost) touched.push_back(other);
         least[other] = cost;
         farthest[other] = squaredGap(cost);
-      });
+      }
     }
     for (const std::uint32_t other : touched) {
       links[piece].push_back({other, least[other]});

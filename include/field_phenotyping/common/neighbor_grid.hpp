@@ -40,16 +40,31 @@ class NeighborGrid {
         const float squared_distance = offset.squaredNorm();
         if (squared_distance <= squared_radius) visit(order_[k], offset, squared_distance);
       }
+      return true;
     });
   }
 
-  /// Calls visit(point) for every point within `radius` of the box [low, high] and for some a
-  /// little farther off, in an order that depends only on the points.
+  /// Whether at least `count` points lie within `radius` of `center`. Looks at no more than needed.
+  bool hasWithin(const Eigen::Vector3f& center, float radius, std::uint32_t count) const {
+    const float squared_radius = radius * radius;
+    std::uint32_t found = 0U;
+    forEachRun(center, center, radius, [&](const Run& run) {
+      for (std::uint32_t k = run.begin; k < run.end; ++k) {
+        if ((points_[k] - center).squaredNorm() <= squared_radius) ++found;
+      }
+      return found < count;
+    });
+    return found >= count;
+  }
+
+  /// Calls visit(index, point) for every point within `radius` of the box [low, high] and for some
+  /// a little farther off, in an order that depends only on the points.
   template <class Visit>
   void forEachNearBox(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float radius,
                       Visit&& visit) const {
     forEachRun(low, high, radius, [&](const Run& run) {
-      for (std::uint32_t k = run.begin; k < run.end; ++k) visit(points_[k]);
+      for (std::uint32_t k = run.begin; k < run.end; ++k) visit(order_[k], points_[k]);
+      return true;
     });
   }
 
@@ -75,7 +90,8 @@ class NeighborGrid {
     std::uint32_t end;
   };
 
-  /// Calls visit(run) for runs of sorted points that hold all within `radius` of [low, high].
+  /// Calls visit(run) for runs of sorted points that hold all within `radius` of [low, high], while
+  /// it returns true.
   template <class Visit>
   void forEachRun(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float radius,
                   Visit&& visit) const {
@@ -94,7 +110,7 @@ class NeighborGrid {
         const float left = left_z - off_y * off_y;
         if (left < 0.0F) continue;
         const float half = std::sqrt(left) + slack_;
-        visit(findRun(cellAt(low.x() - half, 0), cellAt(high.x() + half, 0), y, z));
+        if (!visit(findRun(cellAt(low.x() - half, 0), cellAt(high.x() + half, 0), y, z))) return;
       }
     }
   }

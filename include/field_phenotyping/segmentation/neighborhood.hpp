@@ -1,0 +1,62 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+namespace field_phenotyping {
+
+/// Sums over the neighbours of a point, of their offsets from it [m]: so floats stay precise
+/// wherever the cloud lies.
+struct Moments {
+  float count = 0.0F;
+  Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+  Eigen::Vector3f squares = Eigen::Vector3f::Zero();
+  Eigen::Vector3f products = Eigen::Vector3f::Zero();  ///< xy, yz, zx
+
+  void add(const Eigen::Vector3f& offset) {
+    count += 1.0F;
+    sum += offset;
+    squares += offset.cwiseAbs2();
+    products.x() += offset.x() * offset.y();
+    products.y() += offset.y() * offset.z();
+    products.z() += offset.z() * offset.x();
+  }
+  Eigen::Vector3f mean() const { return sum / count; }
+  Eigen::Matrix3f covariance() const {
+    Eigen::Matrix3f matrix;
+    matrix << squares.x(), products.x(), products.z(),  //
+        products.x(), squares.y(), products.y(),        //
+        products.z(), products.y(), squares.z();
+    return matrix / count - mean() * mean().transpose();
+  }
+};
+
+/// Points that may be neighbours of one or more places, stored coordinate by coordinate so that the
+/// processor looks at several at once.
+class Neighborhood {
+ public:
+  void clear() { count_ = 0U; }
+  /// @param tag says which group the point belongs to, >= 0
+  void add(const Eigen::Vector3f& point, std::int32_t tag);
+  /// To be called after the last add(): fills the lanes that are left.
+  void close() {
+    while (count_ % kLanes != 0U) add(Eigen::Vector3f::Zero(), kNoTag);
+  }
+
+  /// Moments of the points with that tag within `radius` [m] of `place`.
+  Moments momentsAbout(const Eigen::Vector3f& place, float radius, std::int32_t tag) const;
+
+ private:
+  static constexpr std::size_t kLanes = 4U;
+  static constexpr std::int32_t kNoTag = -2;
+
+  std::size_t count_ = 0U;
+  std::vector<float> x_;
+  std::vector<float> y_;
+  std::vector<float> z_;
+  std::vector<std::int32_t> tags_;
+};
+
+}  // namespace field_phenotyping

@@ -1,0 +1,70 @@
+#include "field_phenotyping/segmentation/neighborhood.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr std::size_t kBytes = 16U;  // of the vectors that every 64-bit processor has
+using Floats = float __attribute__((vector_size(kBytes)));
+using Integers = std::int32_t __attribute__((vector_size(kBytes)));
+
+template <class Lanes, class Value>
+Lanes load(const std::vector<Value>& values, std::size_t k) {
+  return Lanes{values[k], values[k + 1U], values[k + 2U], values[k + 3U]};
+}
+
+float total(const Floats& lanes) {
+  return (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
+}
+
+}  // namespace
+
+void Neighborhood::add(const Eigen::Vector3f& point, std::int32_t tag) {
+  if (count_ == x_.size()) {
+    const std::size_t size = 2U * count_ + 64U;
+    for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(size);
+    tags_.resize(size);
+  }
+  x_[count_] = point.x();
+  y_[count_] = point.y();
+  z_[count_] = point.z();
+  tags_[count_] = tag;
+  ++count_;
+}
+
+Moments Neighborhood::momentsAbout(const Eigen::Vector3f& place, float radius,
+                                   std::int32_t tag) const {
+  static_assert(kLanes * sizeof(float) == kBytes, "a vector holds one value per lane");
+  Floats count{}, sum_x{}, sum_y{}, sum_z{}, xx{}, yy{}, zz{}, xy{}, yz{}, zx{};
+  const Floats limit = Floats{} + radius * radius;
+  const Floats one = Floats{} + 1.0F;
+  const Floats none{};
+  const Integers wanted = Integers{} + tag;
+  for (std::size_t k = 0; k < count_; k += kLanes) {
+    Floats x = load<Floats>(x_, k) - place.x();
+    Floats y = load<Floats>(y_, k) - place.y();
+    Floats z = load<Floats>(z_, k) - place.z();
+    const Integers counts =
+        (x * x + (y * y + z * z) <= limit) & (load<Integers>(tags_, k) == wanted);
+    x = counts ? x : none;
+    y = counts ? y : none;
+    z = counts ? z : none;
+    count += counts ? one : none;
+    sum_x += x;
+    sum_y += y;
+    sum_z += z;
+    xx += x * x;
+    yy += y * y;
+    zz += z * z;
+    xy += x * y;
+    yz += y * z;
+    zx += z * x;
+  }
+  Moments moments;
+  moments.count = total(count);
+  moments.sum = {total(sum_x), total(sum_y), total(sum_z)};
+  moments.squares = {total(xx), total(yy), total(zz)};
+  moments.products = {total(xy), total(yz), total(zx)};
+  return moments;
+}
+
+}  // namespace field_phenotyping
