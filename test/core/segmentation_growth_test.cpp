@@ -266,7 +266,8 @@ TEST(RegionGrowth, WithoutCandidatesWalksStraightToTheEnd) {
   const auto steps = [&](double beta, double r1) {
     SegmentationParameters parameters = growthParameters(0.2, beta);
     parameters.r1 = r1;
-    const GrowthRegion region = growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+    const GrowthRegion region =
+        growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
     EXPECT_TRUE(region.points.empty());
     return region.steps;
   };
@@ -284,7 +285,8 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
   for (int k = 0; k <= 200; ++k) points.emplace_back(0.09F, 0.0F, 0.005F * static_cast<float>(k));
   const TinyCloud cloud(points);
   SegmentationParameters parameters = growthParameters(0.0, 0.8);
-  const GrowthRegion region = growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion region =
+      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
   std::vector<std::uint32_t> expected;
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     for (int step = 0; step < 13; ++step) {
@@ -300,7 +302,8 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
 
   // The same line farther aside is never reached.
   for (Eigen::Vector3f& point : points) point.x() = 0.101F;
-  EXPECT_TRUE(growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters))
+  EXPECT_TRUE(growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+                         GrowthSettings(parameters))
                   .points.empty());
 }
 
@@ -318,8 +321,8 @@ TEST(RegionGrowth, MeanDirectionTurnsTheWalk) {
   };
   SegmentationParameters parameters = growthParameters(0.5, 0.5);
   parameters.max_growth_steps = 2;
-  const GrowthRegion region =
-      growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion region = growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+                                         GrowthSettings(parameters));
   EXPECT_EQ(region.steps, 2U);
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
 }
@@ -330,8 +333,8 @@ TEST(RegionGrowth, OpposedCandidatesCancel) {
       {0.09F, 0.0F, 0.0F}, {-0.09F, 0.0F, 0.0F}, {0.0F, 0.0F, 0.149F}, {0.0F, 0.0F, 0.151F}};
   SegmentationParameters parameters = growthParameters(0.6, 0.4);
   parameters.max_growth_steps = 2;
-  const GrowthRegion region =
-      growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion region = growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+                                         GrowthSettings(parameters));
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
 }
 
@@ -339,28 +342,34 @@ TEST(RegionGrowth, StopsWhereItLeavesTheSegment) {
   const TinyCloud cloud({{0.09F, 0.0F, -0.01F}, {5.0F, 5.0F, 5.0F}});
   // Eq 4, 5: the walk is over as soon as its projection leaves [0, 1].
   SegmentationParameters parameters = growthParameters(0.0, 1.0);
-  const GrowthRegion forwards =
-      growRegion(cloud.scene(), kStart, {0.0F, 0.0F, 0.05F}, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion forwards = growRegion(cloud.scene(), kStart, {0.0F, 0.0F, 0.05F},
+                                           vagueMidline(), GrowthSettings(parameters));
   EXPECT_EQ(forwards.steps, 1U);
   EXPECT_EQ(forwards.points, std::vector<std::uint32_t>{0U});
   // Drawn backwards by the points: out at the start.
   const TinyCloud behind({{0.0F, 0.0F, -0.09F}});
   parameters = growthParameters(1.0, 0.1);
-  EXPECT_EQ(growRegion(behind.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps, 1U);
+  EXPECT_EQ(
+      growRegion(behind.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps,
+      1U);
 }
 
 TEST(RegionGrowth, BoundedAndSafe) {
   const TinyCloud cloud({{0.0F, 0.0F, 0.0F}, {0.0F, 0.0F, 0.0F}, {0.02F, 0.0F, 0.3F}});
   SegmentationParameters parameters = growthParameters(0.2, 0.8);
   parameters.max_growth_steps = 4;
-  EXPECT_EQ(growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps, 4U);
+  EXPECT_EQ(
+      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps,
+      4U);
   // Nowhere to go: no direction, nothing joins.
-  const GrowthRegion still = growRegion(cloud.scene(), kStart, kStart, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion still =
+      growRegion(cloud.scene(), kStart, kStart, vagueMidline(), GrowthSettings(parameters));
   EXPECT_EQ(still.steps, 0U);
   EXPECT_TRUE(still.points.empty());
   // A point at the seed itself has no direction; it must not spoil the mean.
   parameters.max_growth_steps = 200;
-  const GrowthRegion region = growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion region =
+      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
   EXPECT_LT(region.steps, 25U);
 }
@@ -372,8 +381,8 @@ TEST(RegionGrowth, PointsAreAscendingAndOnce) {
   Midline midline;
   midline.axis = verticalAxis(1.0F, 0.012F);
   midline.spread = 0.001F;
-  const GrowthRegion region =
-      growRegion({points, shapes, grid}, kStart, kEnd, midline, GrowthSettings(SegmentationParameters()));
+  const GrowthRegion region = growRegion({points, shapes, grid}, kStart, kEnd, midline,
+                                         GrowthSettings(SegmentationParameters()));
   EXPECT_GT(region.points.size(), 950U) << "a clean stem joins";
   EXPECT_TRUE(std::is_sorted(region.points.begin(), region.points.end()));
   const std::set<std::uint32_t> once(region.points.begin(), region.points.end());
@@ -399,7 +408,8 @@ TEST(RegionGrowth, NoMoreJoinTheStricterMIs) {
   for (double M = 0.05; M <= 1.0; M += 0.05) {
     parameters.M = M;
     const std::size_t count =
-        growRegion({points, shapes, grid}, kStart, kEnd, midline, GrowthSettings(parameters)).points.size();
+        growRegion({points, shapes, grid}, kStart, kEnd, midline, GrowthSettings(parameters))
+            .points.size();
     EXPECT_LE(count, most) << "M " << M;
     most = count;
     counts.push_back(count);
@@ -701,6 +711,35 @@ TEST(StemTop, NotAtAnEar) {
   midline.axis = verticalAxis(1.6F, 0.01F);
   midline.spread = 0.002F;
   EXPECT_GT(findStemTop(points, allOf(points), midline), 1.35F);
+}
+
+TEST(StemTop, AsTheStandsWhereTheTasselShowsOnOneSideOnly) {
+  // Branches seen from one side: alone, the axis ends with the spike.
+  Points points = surfaceOf(verticalAxis(1.55F, 0.009F), 1400U, 0.002, 2.0 * M_PI, 24U);
+  addBranches(points, 1.2F, 1.3F, 2, 24U);
+  Midline midline;
+  midline.axis = verticalAxis(1.6F, 0.009F);
+  midline.spread = 0.002F;
+  EXPECT_GT(findStemTop(points, allOf(points), midline), 1.5F);
+  StandLength stand;
+  stand.typical = 1.22;
+  stand.spread = 0.05;
+  stand.excess = 0.3;
+  stand.excess_share = 0.1;
+  EXPECT_NEAR(findStemTop(points, allOf(points), midline, stand), 1.2F, 0.05F);
+}
+
+TEST(StemTop, ShortStemsOfATallStandStayShort) {
+  Points points = surfaceOf(verticalAxis(0.9F, 0.009F), 900U, 0.002, 2.0 * M_PI, 25U);
+  Midline midline;
+  midline.axis = verticalAxis(1.6F, 0.009F);
+  midline.spread = 0.002F;
+  StandLength stand;
+  stand.typical = 1.5;
+  stand.spread = 0.06;
+  stand.excess = 0.3;
+  stand.excess_share = 0.1;
+  EXPECT_NEAR(findStemTop(points, allOf(points), midline, stand), 0.9F, 0.06F);
 }
 
 TEST(StemTop, WhereNothingEndsIt) {
