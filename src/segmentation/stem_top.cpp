@@ -130,6 +130,10 @@ bool opensAsWhorl(const std::vector<Place>& places, double occupied) {
 
 constexpr double kRingStep = 0.0125;  // [m] of the axis
 constexpr std::size_t kSectors = 8U;
+constexpr std::size_t kWindow = 8U;     // steps compared
+constexpr double kEmergence = 0.015;    // [m] of stem that branches need to leave its skin
+constexpr double kLongest = 0.55;       // [m] of a tassel
+constexpr double kLeastContrast = 2.5;  // of the points where branches begin to those below
 
 /// Points of the ring just outside the skin, step by step along the axis.
 struct Rings {
@@ -179,15 +183,11 @@ double sumOf(const std::vector<double>& counts, std::size_t from, std::size_t to
 /// Where the tassel's side branches begin: a bare stretch of stem below, and above it points all
 /// round. `occupied` if there is no such place near the end of the axis.
 double tasselBase(const std::vector<Place>& places, double occupied) {
-  constexpr std::size_t kWindow = 8U;          // steps compared
-  constexpr double kEmergence = 0.015;         // [m] of stem that branches need to leave its skin
-  constexpr double kLongest = 0.55;            // [m] of a tassel
   constexpr double kLeastStem = 0.6;           // of stem and tassel together
   constexpr double kShortest = 0.13;           // [m] of a tassel
   constexpr std::size_t kBranchedSteps = 16U;  // that side branches come out of the skin in
   constexpr double kMostBeyond = 0.35;         // points above them, of what the branches show
   constexpr double kSamePlace = 0.10;          // [m]
-  constexpr double kLeastContrast = 2.5;
   constexpr double kLeastPoints = 6.0;
   const Rings rings = countRings(places, occupied);
   const std::size_t steps = rings.counts.size();
@@ -220,11 +220,7 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
 /// branches show on one side only, and leaves reach up to them.
 double likelyTasselBase(const std::vector<Place>& places, double occupied,
                         const StandLength& stand) {
-  constexpr std::size_t kWindow = 8U;
-  constexpr double kEmergence = 0.015;
-  constexpr double kShortest = 0.06;
-  constexpr double kLongest = 0.55;
-  constexpr double kLeastContrast = 2.5;
+  constexpr double kShortest = 0.06;  // [m] of a tassel, of which little may show
   const Rings rings = countRings(places, occupied);
   const std::size_t steps = rings.counts.size();
   double best = std::log(kLeastContrast) + stand.logPrior(occupied);
