@@ -35,6 +35,16 @@ void expectLikeBruteForce(const Points& points, const Points& centers, float cel
     ASSERT_EQ(found, bruteForce(points, center, radius))
         << "at " << center.transpose() << ", cell " << cell << ", radius " << radius;
     total += found.size();
+    const auto count = static_cast<std::uint32_t>(found.size());
+    EXPECT_TRUE(grid.hasWithin(center, radius, count));
+    EXPECT_FALSE(grid.hasWithin(center, radius, count + 1U));
+    std::vector<std::uint32_t> near;
+    grid.forEachNearBox(center, center, radius, [&](std::uint32_t i, const Eigen::Vector3f& point) {
+      EXPECT_EQ(point, points[i]);
+      near.push_back(i);
+    });
+    std::sort(near.begin(), near.end());
+    EXPECT_TRUE(std::includes(near.begin(), near.end(), found.begin(), found.end()));
   }
   EXPECT_GT(total, 0U) << "the test looked only where nothing is";
 }
