@@ -8,6 +8,8 @@
 #include <numeric>
 #include <utility>
 
+#include "field_phenotyping/common/median.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -45,12 +47,6 @@ struct Scale {
     young = height < kYoung;
   }
 };
-
-float medianOf(std::vector<float>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 /// A point in the prior's own frame: height along its chord, offset across it.
 struct Sample {

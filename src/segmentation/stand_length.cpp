@@ -54,8 +54,7 @@ StandFit fitStandLength(const std::vector<double>& shown, double relative_spread
   constexpr int kSteps = 65;
   StandFit best;
   if (shown.size() < kLeastStems) return best;
-  std::vector<double> sorted = shown;
-  const double median = medianOf(sorted);
+  const double median = medianOf(shown);
   best.log_likelihood = -std::numeric_limits<double>::infinity();
   const auto tryOne = [&](StandLength stand) {
     std::vector<double> ended;

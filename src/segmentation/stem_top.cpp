@@ -4,6 +4,9 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <utility>
+
+#include "field_phenotyping/common/median.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -59,9 +62,7 @@ double medianSeen(const std::vector<double>& counts) {
     if (count > 0.0) seen.push_back(count);
   }
   if (seen.empty()) return 0.0;
-  const auto middle = seen.begin() + static_cast<std::ptrdiff_t>(seen.size() / 2U);
-  std::nth_element(seen.begin(), middle, seen.end());
-  return *middle;
+  return medianOf(std::move(seen));
 }
 
 /// How far the young leaves of a whorl clasp one another above the stem's end, until they have left
