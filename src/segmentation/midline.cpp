@@ -768,7 +768,9 @@ std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, cons
     keepBest(fitStretch(samplesAlong(samples, from_foot, scale), from_foot, scale, 0.0,
                         std::min(scale.stretch, length)));
   }
-  if (best.size() == 2U && best[0].low == best[1].low && best[0].fit.sameCurve(best[1].fit)) {
+  // What stands best on the soil counts for young plants only.
+  if (best.size() == 2U &&
+      (!scale.young || (best[0].low == best[1].low && best[0].fit.sameCurve(best[1].fit)))) {
     best.pop_back();
   }
   return best;
@@ -854,8 +856,7 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
   const auto rooted = [&](const Hypothesis& stem) {
     return stem.fit.rootedEvidence(stem.low, stem.high, stem.fit.possibleEvidence(samples));
   };
-  Hypothesis& stem =
-      scale.young && stems.size() > 1U && rooted(stems[1]) > rooted(stems[0]) ? stems[1] : stems[0];
+  Hypothesis& stem = stems.size() > 1U && rooted(stems[1]) > rooted(stems[0]) ? stems[1] : stems[0];
   settle(stem);
 
   std::vector<StemAxis::Node> nodes;
@@ -885,19 +886,20 @@ std::vector<std::uint32_t> pruneByMidline(const std::vector<Eigen::Vector3f>& po
   const auto bandOf = [&](float s) {
     return static_cast<std::size_t>(std::clamp(s / height, 0.0F, static_cast<float>(count) - 0.5F));
   };
+  std::vector<StemAxis::Projection> places;
+  places.reserve(members.size());
   for (const std::uint32_t i : members) {
-    const StemAxis::Projection at = axis.project(points[i]);
-    distances[bandOf(at.arc_length)].push_back(at.distance);
+    places.push_back(axis.project(points[i]));
+    distances[bandOf(places.back().arc_length)].push_back(places.back().distance);
   }
   std::vector<float> thresholds;
   for (std::vector<float>& band : distances) {
-    thresholds.push_back(band.empty() ? 0.0F : factor * medianOf(band));
+    thresholds.push_back(band.empty() ? 0.0F : factor * medianOf(std::move(band)));
   }
   std::vector<std::uint32_t> kept;
-  for (const std::uint32_t i : members) {
-    const StemAxis::Projection at = axis.project(points[i]);
-    if (at.arc_length > axis.length()) continue;
-    if (at.distance <= thresholds[bandOf(at.arc_length)]) kept.push_back(i);
+  for (std::size_t k = 0; k < members.size(); ++k) {
+    if (places[k].arc_length > axis.length()) continue;
+    if (places[k].distance <= thresholds[bandOf(places[k].arc_length)]) kept.push_back(members[k]);
   }
   return kept;
 }

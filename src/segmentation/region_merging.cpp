@@ -107,10 +107,9 @@ float adaptMergingThreshold(float threshold, float quality, float target) {
   return (1.0F - kEta) * threshold + kEta * threshold * ratio;
 }
 
-std::vector<std::uint8_t> mergeRegions(const std::vector<Eigen::Vector3f>& points,
-                                       const std::vector<GrowthRegion>& regions, float threshold) {
+std::vector<std::uint8_t> mergeRegions(const std::vector<GrowthRegion>& regions,
+                                       const std::vector<float>& distances, float threshold) {
   const std::vector<std::size_t> filled = withPoints(regions);
-  const std::vector<float> distances = neighborDistances(points, regions);
   std::vector<std::uint8_t> merged(regions.size(), 0U);
   std::size_t most = 0U;
   for (std::size_t first = 0; first < filled.size();) {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <functional>
 #include <iterator>
+#include <optional>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
@@ -23,6 +24,9 @@
 
 namespace field_phenotyping {
 namespace {
+
+constexpr float kAround = 2.5F;  // max_radius: points this near may tell of a stem
+constexpr float kBeyond = 0.2F;  // of the plant's height, that a stem may go on above its end
 
 /// The axis prior that the start points give, carried down to the soil.
 StemAxis axisFromSeeds(const StemSeeds& seeds, const GroundModel& ground, float radius) {
@@ -59,13 +63,11 @@ float canopyHeight(const GrowthScene& scene, const GroundModel& ground) {
 Midline findMidline(const GrowthScene& scene, const StemSeeds& seeds, const GroundModel& ground,
                     float max_radius, float plant_height) {
   const StemAxis prior = axisFromSeeds(seeds, ground, 0.5F * max_radius);
-  constexpr float kAround = 2.5F;  // max_radius
   const std::vector<std::uint32_t> around = pointsAround(scene, prior, kAround * max_radius);
   Midline midline = fitMidline(scene.points, around, prior, max_radius, plant_height);
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
   // Without the leaves above, the axis points straight up through them, and shows its end better.
   constexpr float kMostBeyond = 0.25F;  // [m]
-  constexpr float kBeyond = 0.2F;       // of the plant's height
   midline = fitMidline(scene.points, around, midline.axis, max_radius, plant_height);
   midline.axis = midline.axis.extendedBy(std::min(kMostBeyond, kBeyond * plant_height));
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
@@ -75,9 +77,7 @@ Midline findMidline(const GrowthScene& scene, const StemSeeds& seeds, const Grou
 /// Where a stem of that stand ends; its axis has been cut where it alone shows an end.
 Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLength& stand,
                       float max_radius, float plant_height) {
-  constexpr float kBeyond = 0.2F;  // of the plant's height
   constexpr float kSpreads = 2.0F;
-  constexpr float kAround = 2.5F;  // max_radius
   const StemAxis& axis = midline.axis;
   const float longest =
       std::max(axis.length() + kBeyond * plant_height,
@@ -91,12 +91,12 @@ Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLeng
 
 /// How far along a stem's axis the canopy reaches there [m].
 double canopyAlong(const GrowthScene& scene, const StemAxis& axis, float plant_height) {
-  constexpr float kAround = 0.10F;    // [m] half of what plants stand apart
+  constexpr float kCanopy = 0.10F;    // [m] half of what plants stand apart
   constexpr float kHighest = 2.0F;    // plant_height
   constexpr std::size_t kStray = 4U;  // points above it
   const StemAxis whole = axis.extendedBy(std::max(kHighest * plant_height - axis.length(), 0.0F));
   std::vector<float> along;
-  for (const std::uint32_t i : pointsAround(scene, whole, kAround)) {
+  for (const std::uint32_t i : pointsAround(scene, whole, kCanopy)) {
     along.push_back(whole.project(scene.points[i]).arc_length);
   }
   if (along.size() <= kStray) return static_cast<double>(axis.length());
@@ -157,10 +157,11 @@ std::vector<StemAxis> axesOf(const std::vector<GrownStem>& stems) {
 /// Carries candidates whose foot is hidden down to the soil anew.
 void settleFeet(const GrowthScene& scene, const Block& block, const StandLean& lean,
                 const SegmentationParameters& parameters, std::vector<GrownStem>& candidates) {
-  if (!(lean.scatter > 0.0F)) return;
   parallelFor(candidates.size(), [&](std::size_t c) {
     Midline midline = candidates[c].midline;
-    midline.axis = settleFoot(block, scene.grid, midline, lean);
+    std::optional<StemAxis> axis = settleFoot(block, scene.grid, midline, lean);
+    if (!axis) return;
+    midline.axis = *std::move(axis);
     GrownStem settled = growCandidate(scene, std::move(midline), parameters);
     if (!settled.points.empty()) candidates[c] = std::move(settled);
   });

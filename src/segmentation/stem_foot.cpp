@@ -43,11 +43,12 @@ bool footIsSeen(const Sight& sight) {
 
 }  // namespace
 
-StemAxis settleFoot(const Block& block, const NeighborGrid& grid, const Midline& midline,
-                    const StandLean& lean) {
+std::optional<StemAxis> settleFoot(const Block& block, const NeighborGrid& grid,
+                                   const Midline& midline, const StandLean& lean) {
+  if (!(lean.scatter > 0.0F)) return std::nullopt;
   const StemAxis& axis = midline.axis;
   const Sight sight = sightOf(block, grid, midline);
-  if (!(lean.scatter > 0.0F) || !(sight.total > 0.0F) || footIsSeen(sight)) return axis;
+  if (!(sight.total > 0.0F) || footIsSeen(sight)) return std::nullopt;
 
   // 1. The part that is seen: its middle and its slope.
   Eigen::Vector3f middle = Eigen::Vector3f::Zero();
@@ -62,7 +63,7 @@ StemAxis settleFoot(const Block& block, const NeighborGrid& grid, const Midline&
     lever += sight.weights[band] / sight.total * off.z() * off.z();
     moment += sight.weights[band] / sight.total * off.z() * off.head<2>();
   }
-  if (!(lever > 0.0F)) return axis;
+  if (!(lever > 0.0F)) return std::nullopt;
   const Eigen::Vector2f seen_slope = moment / lever;
   constexpr float kLeafPull = 0.015F;  // [m] by which leaves move either end
   const float seen_error = kLeafPull / std::sqrt(lever);
@@ -71,7 +72,7 @@ StemAxis settleFoot(const Block& block, const NeighborGrid& grid, const Midline&
   const float soil = block.ground.heightAt(middle.x(), middle.y());
   const float height = middle.z() - soil;
   constexpr float kLit = 0.15F;  // [m] below the middle: leaves crowd there
-  if (!(height > 2.0F * kLit)) return axis;
+  if (!(height > 2.0F * kLit)) return std::nullopt;
   constexpr float kReach = 0.12F;  // [m] of the foot from where the stand's lean would have it
   struct Drop {
     Eigen::Vector2f shift;  // from the middle, horizontally

@@ -61,12 +61,12 @@ Growth growOnce(const GrowthScene& scene, const Midline& midline,
                 float max_gap, float& threshold, const SegmentationParameters& parameters) {
   Growth growth;
   growth.regions = growRegions(scene, midline, segments, settings, parameters);
+  const std::vector<float> distances = neighborDistances(scene.points, growth.regions);
   constexpr float kLeastGap = 0.5F;  // of max_gap: leaves hide as much of a sound stem
   if (!(threshold > 0.0F)) {
-    threshold = initialMergingThreshold(neighborDistances(scene.points, growth.regions),
-                                        kLeastGap * max_gap, max_gap);
+    threshold = initialMergingThreshold(distances, kLeastGap * max_gap, max_gap);
   }
-  growth.merged = mergeRegions(scene.points, growth.regions, threshold);
+  growth.merged = mergeRegions(growth.regions, distances, threshold);
   growth.points = pruneByMidline(scene.points, pointsOf(growth.regions, growth.merged),
                                  midline.axis, static_cast<float>(parameters.prune_factor));
   growth.quality =

@@ -190,10 +190,13 @@ TEST(RegionMerging, KeepsTheLargestChain) {
   const std::vector<GrowthRegion> regions = {
       regionOf(points, 0.0F, 0.2F), regionOf(points, 0.2F, 0.4F), regionOf(points, 0.4F, 0.55F),
       regionOf(points, 0.55F, 0.8F), regionOf(points, 0.8F, 1.1F)};
-  EXPECT_EQ(mergeRegions(points, regions, 0.05F), (std::vector<std::uint8_t>{0, 0, 0, 1, 1}));
-  EXPECT_EQ(mergeRegions(points, regions, 0.5F), (std::vector<std::uint8_t>{1, 1, 0, 1, 1}));
-  EXPECT_EQ(mergeRegions(points, {}, 0.5F), std::vector<std::uint8_t>{});
-  EXPECT_EQ(mergeRegions(points, {GrowthRegion{}}, 0.5F), std::vector<std::uint8_t>{0});
+  const auto merged = [&](const std::vector<GrowthRegion>& some, float threshold) {
+    return mergeRegions(some, neighborDistances(points, some), threshold);
+  };
+  EXPECT_EQ(merged(regions, 0.05F), (std::vector<std::uint8_t>{0, 0, 0, 1, 1}));
+  EXPECT_EQ(merged(regions, 0.5F), (std::vector<std::uint8_t>{1, 1, 0, 1, 1}));
+  EXPECT_EQ(merged({}, 0.5F), std::vector<std::uint8_t>{});
+  EXPECT_EQ(merged({GrowthRegion{}}, 0.5F), std::vector<std::uint8_t>{0});
 }
 
 TEST(RegionMerging, Thresholds) {

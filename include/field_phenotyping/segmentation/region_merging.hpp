@@ -30,7 +30,8 @@ float adaptMergingThreshold(float threshold, float quality, float target);
 
 /// Merges regions nearer than `threshold` [m]; gives back which of them belong to the merged region
 /// with the most points.
-std::vector<std::uint8_t> mergeRegions(const std::vector<Eigen::Vector3f>& points,
-                                       const std::vector<GrowthRegion>& regions, float threshold);
+/// @param distances neighborDistances() of the same regions
+std::vector<std::uint8_t> mergeRegions(const std::vector<GrowthRegion>& regions,
+                                       const std::vector<float>& distances, float threshold);
 
 }  // namespace field_phenotyping

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <optional>
+
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
@@ -16,9 +18,9 @@ namespace field_phenotyping {
 ///
 /// @param grid over the points of `block.cloud`
 /// @param lean of the stand
-/// Gives back the axis as it is where its foot is seen, or where the stand's lean is not known.
+/// None where the foot is seen, or where the stand's lean is not known: the axis is good as it is.
 /// Thread-safe; deterministic.
-StemAxis settleFoot(const Block& block, const NeighborGrid& grid, const Midline& midline,
-                    const StandLean& lean);
+std::optional<StemAxis> settleFoot(const Block& block, const NeighborGrid& grid,
+                                   const Midline& midline, const StandLean& lean);
 
 }  // namespace field_phenotyping
