@@ -115,8 +115,9 @@ GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_g
   GrowthSettings best_settings = first;
   GrowthSettings settings = first;
   float threshold = 0.0F;
+  const auto most_cycles = static_cast<std::uint32_t>(parameters.max_growth_cycles);
   std::uint32_t cycles = 0U;
-  while (cycles < static_cast<std::uint32_t>(parameters.max_growth_cycles)) {
+  while (cycles < most_cycles) {
     Growth growth = growOnce(scene, midline, segments, settings, max_gap, threshold, parameters);
     ++cycles;
     const float quality = growth.quality;
@@ -124,7 +125,7 @@ GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_g
       best = std::move(growth);
       best_settings = settings;
     }
-    if (quality >= target) break;
+    if (quality >= target || cycles == most_cycles) break;
 
     // Step 3d: adapt, and grow again (Step 4).
     constexpr float kDifference = 0.1F;
