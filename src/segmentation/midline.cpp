@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <numeric>
 #include <utility>
@@ -52,6 +53,10 @@ struct Scale {
 struct Sample {
   double height = 0.0;
   Eigen::Vector2d offset = Eigen::Vector2d::Zero();
+  // Of placeOn(): fits look at a sample often, and it keeps its place between the nodes.
+  double share = 0.0;       ///< of the upper node
+  std::uint32_t node = 0U;  ///< the lower one
+  std::uint32_t band = 0U;
 };
 
 /// The chord of a rough axis with a basis across it.
@@ -69,7 +74,10 @@ struct ChordFrame {
   }
   Sample toFrame(const Eigen::Vector3f& point) const {
     const Eigen::Vector3d away = point.cast<double>() - origin;
-    return {away.dot(w), {away.dot(u), away.dot(v)}};
+    Sample sample;
+    sample.height = away.dot(w);
+    sample.offset = {away.dot(u), away.dot(v)};
+    return sample;
   }
   /// Offset of a plumb line per metre of height.
   Eigen::Vector2d upright() const { return Eigen::Vector2d(u.z(), v.z()) / w.z(); }
@@ -99,11 +107,33 @@ struct StemCurve {
   Eigen::Vector2d centerAt(const Place& at) const {
     return (1.0 - at.share) * centers[at.node] + at.share * centers[at.node + 1U];
   }
+  /// At the height of a sample that has been placed on this curve's nodes.
+  Eigen::Vector2d centerAt(const Sample& sample) const {
+    return centerAt(Place{sample.node, sample.share});
+  }
+  double length() const { return spacing * static_cast<double>(centers.size() - 1U); }
   double radiusAt(double height) const {
     constexpr double kThinnest = 0.25;  // of the radius at the base
     return std::max(radius + taper * height, kThinnest * radius);
   }
 };
+
+/// Bands with a share of stem points of their own.
+std::size_t countBands(const StemCurve& curve, const Scale& scale) {
+  return static_cast<std::size_t>(std::ceil(curve.length() / scale.share_band)) + 1U;
+}
+
+/// Places samples on the nodes and bands of a curve.
+void placeOn(const StemCurve& curve, const Scale& scale, std::vector<Sample>& samples) {
+  const auto last = static_cast<double>(countBands(curve, scale) - 1U);
+  for (Sample& sample : samples) {
+    const StemCurve::Place place = curve.placeOf(sample.height);
+    sample.node = static_cast<std::uint32_t>(place.node);
+    sample.share = place.share;
+    sample.band =
+        static_cast<std::uint32_t>(std::clamp(sample.height / scale.share_band, 0.0, last));
+  }
+}
 
 /// Samples by height, so that those of a stretch lie side by side.
 void sortByHeight(std::vector<Sample>& samples) {
@@ -185,18 +215,18 @@ class CurveEquations {
 /// of the active range of heights are looked at; elsewhere the curve runs on straight.
 class CurveFit {
  public:
-  /// @param samples by height
+  /// @param samples by height, placed on the curve's nodes
   CurveFit(const std::vector<Sample>& samples, StemCurve start, const Scale& scale)
       : samples_(&samples),
         curve_(std::move(start)),
         scale_(scale),
         reach_(scale.reach),
         posterior_(samples.size(), 0.0) {
-    shares_.assign(static_cast<std::size_t>(std::ceil(length() / scale_.share_band)) + 1U, 0.5);
+    shares_.assign(countBands(curve_, scale_), 0.5);
     trust_.assign(shares_.size(), 1.0);
   }
 
-  /// The same curve among other samples.
+  /// The same curve among other samples, placed on the same nodes.
   CurveFit over(const std::vector<Sample>& samples) const {
     CurveFit fit = *this;
     fit.samples_ = &samples;
@@ -205,7 +235,7 @@ class CurveFit {
     return fit;
   }
 
-  double length() const { return curve_.spacing * static_cast<double>(curve_.centers.size() - 1U); }
+  double length() const { return curve_.length(); }
   const StemCurve& curve() const { return curve_; }
   bool sameCurve(const CurveFit& other) const {
     return curve_.centers == other.curve_.centers && curve_.radius == other.curve_.radius;
@@ -232,14 +262,13 @@ class CurveFit {
     const std::size_t last = bandOf(high);
     std::vector<double> inside(last - first + 1U, 0.0);
     std::vector<double> around(inside.size(), 0.0);
-    const std::size_t begin =
-        firstFrom([&](const Sample& sample) { return bandOf(sample.height) >= first; });
+    const std::size_t begin = firstFrom([&](const Sample& sample) { return sample.band >= first; });
     for (std::size_t i = begin; i < samples_->size(); ++i) {
       const Sample& sample = (*samples_)[i];
-      const std::size_t band = bandOf(sample.height);
+      const std::size_t band = sample.band;
       if (band > last) break;
       const double skin = curve_.radiusAt(sample.height) + 2.0 * spreadAt(sample.height);
-      const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
+      const double distance = (sample.offset - curve_.centerAt(sample)).norm();
       if (distance < skin) {
         inside[band - first] += 1.0;
       } else if (distance < 2.0 * skin) {
@@ -275,8 +304,8 @@ class CurveFit {
       if (!(posterior_[i] > 0.0)) continue;
       const Sample& sample = (*samples_)[i];
       const double away =
-          (sample.offset - curve_.centerAt(sample.height)).norm() - curve_.radiusAt(sample.height);
-      const double trust = trust_[bandOf(sample.height)];
+          (sample.offset - curve_.centerAt(sample)).norm() - curve_.radiusAt(sample.height);
+      const double trust = trust_[sample.band];
       const double weight = posterior_[i] * trust * trust;
       sum += weight * away * away;
       total += weight;
@@ -293,7 +322,7 @@ class CurveFit {
     double below = 0.0;
     for (const Sample& sample : *samples_) {
       if (sample.height > high) break;
-      const double distance = (sample.offset - curve_.centerAt(sample.height)).norm();
+      const double distance = (sample.offset - curve_.centerAt(sample)).norm();
       const double skin = curve_.radiusAt(sample.height) + spreadAt(sample.height);
       if (sample.height < low) {
         if (distance < skin && sample.height > low_) below += 1.0;
@@ -364,7 +393,7 @@ class CurveFit {
   /// What the samples of each band could say for a stem.
   std::vector<double> possibleEvidence(const std::vector<Sample>& samples) const {
     std::vector<double> possible(shares_.size(), 0.0);
-    for (const Sample& sample : samples) possible[bandOf(sample.height)] += kPointEvidence;
+    for (const Sample& sample : samples) possible[sample.band] += kPointEvidence;
     return possible;
   }
 
@@ -408,14 +437,16 @@ class CurveFit {
     constexpr std::array<double, 2> kShares{0.2, 0.7};
     std::vector<std::array<LogSum, 2>> gains(shares_.size());
     for (const Sample& sample : *samples_) {
-      const double squared = (sample.offset - curve_.centerAt(sample.height)).squaredNorm();
+      const double squared = (sample.offset - curve_.centerAt(sample)).squaredNorm();
       if (squared > reach_ * reach_) continue;
       const double beyond = std::max({0.0, low - sample.height, sample.height - high});
       constexpr double kLoosen = 0.01;  // [m/m] what a straight continuation may miss by
-      const double spread = beyond > 0.0 ? std::hypot(spread_, kLoosen * beyond) : spread_;
+      const double spread = beyond > 0.0
+                                ? std::sqrt(spread_ * spread_ + kLoosen * kLoosen * beyond * beyond)
+                                : spread_;
       const double ratio =
           surfaceDensity(std::sqrt(squared), curve_.radiusAt(sample.height), spread) / clutter();
-      std::array<LogSum, 2>& band = gains[bandOf(sample.height)];
+      std::array<LogSum, 2>& band = gains[sample.band];
       for (std::size_t k = 0; k < 2U; ++k) band[k].add(1.0 + kShares[k] * (ratio - 1.0));
     }
     std::vector<double> bands;
@@ -448,8 +479,9 @@ class CurveFit {
     return kSqrtTwoPi * 2.0 * M_PI * spread * std::max(radius, spread);
   }
   static double gauss(double squared) {
-    constexpr double kNone = 80.0;  // exp(-40) changes nothing
-    return squared < kNone ? std::exp(-0.5 * squared) : 0.0;
+    constexpr double kNone = 32.0;  // exp(-16) changes nothing, nor does the eighth digit
+    return squared < kNone ? static_cast<double>(std::exp(static_cast<float>(-0.5 * squared)))
+                           : 0.0;
   }
   double clutter() const { return 1.0 / (M_PI * reach_ * reach_); }
 
@@ -518,12 +550,11 @@ class CurveFit {
     for (std::size_t i = first_; i < end_; ++i) {
       posterior_[i] = 0.0;
       const Sample& sample = (*samples_)[i];
-      const StemCurve::Place place = curve_.placeOf(sample.height);
-      const Eigen::Vector2d away = sample.offset - curve_.centerAt(place);
+      const Eigen::Vector2d away = sample.offset - curve_.centerAt(sample);
       const double squared = away.squaredNorm();
       const double reach = reachAt(sample.height);
       if (squared > reach * reach) continue;
-      const std::size_t band = bandOf(sample.height);
+      const std::size_t band = sample.band;
       const double spread = spreadAt(sample.height);
       const double precision = 1.0 / (spread * spread);
       const double distance = std::sqrt(squared);
@@ -541,17 +572,17 @@ class CurveFit {
       const double posterior = density / (density + odds[band] * norm);
       posterior_[i] = posterior;
       stem[band] += posterior;
-      cells[place.node].points += posterior;
+      cells[sample.node].points += posterior;
       constexpr double kNegligible = 1e-4;
       if (posterior < kNegligible) continue;
       const double weight = trust_[band] * posterior * precision;
       if (surface) {
         // Distance minus radius, linearised: toward . (offset - center) = radius + taper * height.
         const Eigen::Vector2d toward = (1.0 / std::max(distance, 1e-6)) * away;
-        cells[place.node].addPoint(place.share, weight, sample.height, toward,
-                                   toward.dot(sample.offset));
+        cells[sample.node].addPoint(sample.share, weight, sample.height, toward,
+                                    toward.dot(sample.offset));
       } else {
-        cells[place.node].addCenter(place.share, weight, sample.offset);
+        cells[sample.node].addCenter(sample.share, weight, sample.offset);
       }
     }
     for (std::size_t band = 0; band < shares_.size(); ++band) {
@@ -690,7 +721,7 @@ std::vector<Sample> samplesAlong(const std::vector<Sample>& samples, const StemC
   constexpr double kReach = 5.0 / 3.0;  // what any of the fits reaches, for they move
   std::vector<Sample> near;
   for (const Sample& sample : samples) {
-    if ((sample.offset - way.centerAt(sample.height)).norm() < kReach * scale.reach) {
+    if ((sample.offset - way.centerAt(sample)).norm() < kReach * scale.reach) {
       near.push_back(sample);
     }
   }
@@ -704,7 +735,8 @@ std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCu
   for (const Sample& sample : near) {
     if (sample.height > high) break;
     if (sample.height < low) continue;
-    local.push_back({sample.height - low, sample.offset});
+    local.push_back(sample);
+    local.back().height -= low;
   }
   if (local.size() < kMinPoints) return {};
   StemCurve line;
@@ -712,6 +744,7 @@ std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCu
   for (double at = low; at < high + 0.5 * line.spacing; at += line.spacing) {
     line.centers.push_back(way.centerAt(at));
   }
+  placeOn(line, scale, local);
   CurveFit blob(local, line, scale);
   blob.setActive(0.0, high - low);
   for (const double width : {0.42, 0.35, 0.29}) blob.fitBlob(width * scale.reach);
@@ -728,7 +761,7 @@ std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCu
 
 /// The stretches that agree best with what lies above and below them: the one that most points
 /// speak for, and the one that stands best on the soil, if it is another. The first may be a leaf.
-/// @param samples by height
+/// @param samples by height, placed on the nodes of `start`
 /// @param foot    of densestFoot(), for young plants
 std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, const StemCurve& start,
                                         const Eigen::Vector2d& foot, const Eigen::Vector2d& upright,
@@ -752,7 +785,7 @@ std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, cons
     }
   };
   const std::vector<Sample> near = samplesAlong(samples, start, scale);
-  const double length = start.spacing * static_cast<double>(start.centers.size() - 1U);
+  const double length = start.length();
   const double last = std::max(0.0, length - scale.stretch);
   const auto steps = static_cast<int>(std::ceil(last / (0.5 * scale.stretch)));
   for (int k = 0; k <= steps; ++k) {
@@ -846,10 +879,11 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
   const Eigen::Vector2d foot = scale.young ? densestFoot(samples, frame.upright(), scale)
                                            : Eigen::Vector2d(Eigen::Vector2d::Zero());
   sortByHeight(samples);
+  const StemCurve start = curveAlong(prior, frame, scale.spacing);
+  placeOn(start, scale, samples);
 
   // 1. Stretches that are surely stem, or a leaf.
-  std::vector<Hypothesis> stems = likelyStretches(samples, curveAlong(prior, frame, scale.spacing),
-                                                  foot, frame.upright(), scale);
+  std::vector<Hypothesis> stems = likelyStretches(samples, start, foot, frame.upright(), scale);
   if (stems.empty()) return midline;
   // 2. The whole stem from there. What stands on the soil is no leaf.
   for (Hypothesis& stem : stems) extend(stem, samples, scale);
