@@ -97,7 +97,7 @@ void clusterSlab(const std::vector<Vote>& votes, int slab, float max_stem_radius
   for (std::size_t i = 0; i < votes.size(); ++i) {
     flat[i] = {votes[i].position.x(), votes[i].position.y(), 0.0F};
   }
-  const NeighborGrid grid(flat, spacing);
+  const NeighborGrid grid(flat, radius);
   std::vector<float> density(votes.size(), 0.0F);
   for (std::size_t i = 0; i < votes.size(); ++i) {
     grid.forEachWithin(flat[i], radius,
