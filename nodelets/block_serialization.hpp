@@ -186,6 +186,8 @@ struct Serializer<field_phenotyping::BlockHeader>
     stream.next(header.revision);
     stream.next(header.final);
     stream.next(header.tile_size);
+    stream.next(header.tile_corner.x());
+    stream.next(header.tile_corner.y());
     stream.next(header.margin);
   }
 };

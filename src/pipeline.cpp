@@ -7,9 +7,9 @@
 #include <map>
 #include <mutex>
 #include <stdexcept>
-#include <unordered_map>
 #include <utility>
 
+#include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/completion/completion.hpp"
 #include "field_phenotyping/measurement/measurement.hpp"
@@ -53,8 +53,8 @@ class Bookkeeper {
 /// The labels of voxels by tile: block clouds hold voxel centroids, which lie in their own voxel.
 class VoxelLabels {
  public:
-  explicit VoxelLabels(const PreprocessingParameters& parameters)
-      : map_(parameters.block_size, parameters.voxel_size) {}
+  VoxelLabels(const PreprocessingParameters& parameters, const Eigen::Vector2d& tile_corner)
+      : map_(parameters.block_size, parameters.voxel_size, tile_corner) {}
 
   void setHeightDatum(double z) { map_.setHeightDatum(z); }
 
@@ -65,11 +65,10 @@ class VoxelLabels {
       for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
         const Part part = i < plant.stem.end ? Part::kStem : Part::kOther;
         const Eigen::Vector3d p = block.cloud.mapPoint(i);
-        const auto [entry, is_new] =
-            labels_[map_.tileAt(p.x(), p.y())].try_emplace(keyOf(p), PointLabel{plant.id, part});
-        if (!is_new && map_.tileAt(p.x(), p.y()) == block.header.index) {
-          entry->second = {plant.id, part};
-        }
+        const BlockIndex tile = map_.tileAt(p.x(), p.y());
+        const auto [label, is_new] =
+            labels_[tile].tryEmplace(keyOf(p, tile), PointLabel{plant.id, part});
+        if (!is_new && tile == block.header.index) *label = {plant.id, part};
       }
     }
   }
@@ -77,22 +76,43 @@ class VoxelLabels {
   PointLabel at(const Eigen::Vector3d& p) const {
     constexpr double kMostDistance = 1e9;  // [m] beyond it tiles cannot be numbered
     if (!(p.cwiseAbs().maxCoeff() < kMostDistance)) return {};
-    if (!hasVoxelKey(localOf(p), map_.voxelSize())) return {};
-    const auto tile = labels_.find(map_.tileAt(p.x(), p.y()));
-    if (tile == labels_.end()) return {};
-    const auto label = tile->second.find(keyOf(p));
-    return label == tile->second.end() ? PointLabel{} : label->second;
+    const BlockIndex tile = map_.tileAt(p.x(), p.y());
+    if (!hasVoxelKey(localOf(p, tile), map_.voxelSize())) return {};
+    const auto labels = labels_.find(tile);
+    if (labels == labels_.end()) return {};
+    const PointLabel* label = labels->second.find(keyOf(p, tile));
+    return label == nullptr ? PointLabel{} : *label;
   }
 
  private:
-  Eigen::Vector3f localOf(const Eigen::Vector3d& p) const {
-    return (p - map_.originOf(map_.tileAt(p.x(), p.y()))).cast<float>();
+  Eigen::Vector3f localOf(const Eigen::Vector3d& p, const BlockIndex& tile) const {
+    return (p - map_.originOf(tile)).cast<float>();
   }
-  VoxelKey keyOf(const Eigen::Vector3d& p) const { return voxelKey(localOf(p), map_.voxelSize()); }
+  VoxelKey keyOf(const Eigen::Vector3d& p, const BlockIndex& tile) const {
+    return voxelKey(localOf(p, tile), map_.voxelSize());
+  }
 
   VoxelMap map_;
-  std::map<BlockIndex, std::unordered_map<VoxelKey, PointLabel>> labels_;
+  std::map<BlockIndex, KeyMap<PointLabel>> labels_;
 };
+
+/// Where tiles must begin to cover the cloud with as few as can be: margins are worked twice.
+Eigen::Vector2d fewestTiles(const PointCloud& cloud, const PreprocessingParameters& parameters) {
+  const Eigen::Array2d least(parameters.min_x, parameters.min_y);
+  const Eigen::Array2d most(parameters.max_x, parameters.max_y);
+  Eigen::Array2d low = most;
+  Eigen::Array2d high = least;
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    const Eigen::Array2d place = cloud.mapPoint(i).head<2>().array();
+    if (!place.allFinite() || (place < least).any() || (place > most).any()) continue;
+    low = low.min(place);
+    high = high.max(place);
+  }
+  if ((low > high).any()) return Eigen::Vector2d::Zero();
+  const Eigen::Array2d extent = high - low;
+  const Eigen::Array2d tiles = (extent / parameters.block_size).floor() + 1.0;
+  return low - 0.5 * (tiles * parameters.block_size - extent);
+}
 
 }  // namespace
 
@@ -106,7 +126,8 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   PreprocessingParameters preprocessing = parameters.preprocessing;
   preprocessing.min_range = 0.0;
   preprocessing.max_range = std::numeric_limits<double>::infinity();
-  Preprocessor preprocessor(preprocessing, "map");
+  const Eigen::Vector2d tile_corner = fewestTiles(cloud, preprocessing);
+  Preprocessor preprocessor(preprocessing, "map", tile_corner);
   Scan scan;
   scan.cloud = cloud;
   preprocessor.addScan(scan, Eigen::Isometry3d::Identity());
@@ -146,7 +167,7 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
     result.blocks[b] = std::move(completed);
   });
 
-  VoxelLabels voxel_labels(preprocessing);
+  VoxelLabels voxel_labels(preprocessing, tile_corner);
   if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
   for (std::size_t b = 0; b < due.size(); ++b) {
     voxel_labels.add(*segmented[b]);
@@ -156,9 +177,13 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   std::sort(result.plants.begin(), result.plants.end(),
             [](const Phenotype& a, const Phenotype& b) { return a.id < b.id; });
   result.labels.resize(cloud.size());
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    if (cloud.points[i].allFinite()) result.labels[i] = voxel_labels.at(cloud.mapPoint(i));
-  }
+  constexpr std::size_t kChunk = 8192U;
+  parallelFor((cloud.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
+    const std::size_t end = std::min(cloud.size(), (chunk + 1U) * kChunk);
+    for (std::size_t i = chunk * kChunk; i < end; ++i) {
+      if (cloud.points[i].allFinite()) result.labels[i] = voxel_labels.at(cloud.mapPoint(i));
+    }
+  });
   result.times = bookkeeper.times();
   return result;
 }

@@ -16,8 +16,7 @@ namespace {
 bool reachesBorder(const SegmentedBlock& block, const Plant& plant) {
   constexpr double kNear = 0.01;  // [m]
   const BlockHeader& header = block.header;
-  const Eigen::Vector2d low = Eigen::Vector2d(header.index.x, header.index.y) * header.tile_size -
-                              Eigen::Vector2d::Constant(header.margin - kNear);
+  const Eigen::Vector2d low = header.lowCorner() - Eigen::Vector2d::Constant(header.margin - kNear);
   const Eigen::Vector2d high =
       low + Eigen::Vector2d::Constant(header.tile_size + 2.0 * (header.margin - kNear));
   for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {

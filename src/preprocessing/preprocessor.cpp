@@ -43,13 +43,15 @@ PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std:
 }  // namespace
 
 struct Preprocessor::Impl {
-  Impl(const PreprocessingParameters& initial_parameters, std::string frame)
+  Impl(const PreprocessingParameters& initial_parameters, std::string frame,
+       const Eigen::Vector2d& corner)
       : parameters(initial_parameters),
         frame_id(std::move(frame)),
-        map(parameters.block_size, parameters.voxel_size) {}
+        tile_corner(corner),
+        map(parameters.block_size, parameters.voxel_size, tile_corner) {}
 
   void clear() {
-    map = VoxelMap(parameters.block_size, parameters.voxel_size);
+    map = VoxelMap(parameters.block_size, parameters.voxel_size, tile_corner);
     states.clear();
     voxel_count = 0U;
     newest_ns = 0U;
@@ -75,6 +77,7 @@ struct Preprocessor::Impl {
 
   PreprocessingParameters parameters;
   std::string frame_id;
+  Eigen::Vector2d tile_corner;
   VoxelMap map;
   std::map<BlockIndex, TileState> states;
   std::size_t voxel_count = 0U;
@@ -162,8 +165,9 @@ bool Preprocessor::Impl::mayForget(const BlockIndex& index, const TileState& sta
   return state.final && !state.dirty && away.norm() > parameters.final_distance;
 }
 
-Preprocessor::Preprocessor(const PreprocessingParameters& parameters, std::string frame_id)
-    : impl_(std::make_unique<Impl>(parameters, std::move(frame_id))) {}
+Preprocessor::Preprocessor(const PreprocessingParameters& parameters, std::string frame_id,
+                           const Eigen::Vector2d& tile_corner)
+    : impl_(std::make_unique<Impl>(parameters, std::move(frame_id), tile_corner)) {}
 Preprocessor::~Preprocessor() = default;
 Preprocessor::Preprocessor(Preprocessor&&) noexcept = default;
 Preprocessor& Preprocessor::operator=(Preprocessor&&) noexcept = default;
@@ -229,6 +233,7 @@ Block Preprocessor::makeBlock(const BlockIndex& index, bool flush) const {
   block.header.frame_id = impl_->frame_id;
   block.header.index = index;
   block.header.tile_size = p.block_size;
+  block.header.tile_corner = impl_->tile_corner;
   block.header.margin = p.block_margin;
   const auto state = impl_->states.find(index);
   if (state != impl_->states.end()) {

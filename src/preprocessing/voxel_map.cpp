@@ -30,15 +30,15 @@ VoxelKey voxelKey(const Eigen::Vector3f& p, float voxel_size) {
 bool VoxelTile::insert(const Eigen::Vector3f& p, float voxel_size, bool with_color,
                        std::uint32_t color) {
   const auto [entry, is_new] =
-      index_.try_emplace(voxelKey(p, voxel_size), static_cast<std::uint32_t>(voxels_.size()));
+      index_.tryEmplace(voxelKey(p, voxel_size), static_cast<std::uint32_t>(voxels_.size()));
   if (is_new) voxels_.emplace_back();
-  Voxel& voxel = voxels_[entry->second];
+  Voxel& voxel = voxels_[*entry];
   // A running mean: sums lose precision where the rover stands still for long.
   ++voxel.count;
   voxel.mean += (p - voxel.mean) / static_cast<float>(voxel.count);
   if (with_color) {
     colors_.resize(voxels_.size());
-    auto& sums = colors_[entry->second];
+    auto& sums = colors_[*entry];
     for (std::size_t channel = 0; channel < 3U; ++channel) {
       sums[channel] += color >> (16U - 8U * channel) & 0xFFU;
     }
@@ -56,16 +56,17 @@ std::uint32_t VoxelTile::color(std::size_t i) const {
   return mean(0) << 16U | mean(1) << 8U | mean(2);
 }
 
-VoxelMap::VoxelMap(double tile_size, double voxel_size)
-    : tile_size_(tile_size), voxel_size_(voxel_size) {}
+VoxelMap::VoxelMap(double tile_size, double voxel_size, const Eigen::Vector2d& tile_corner)
+    : tile_size_(tile_size), voxel_size_(voxel_size), tile_corner_(tile_corner) {}
 
 BlockIndex VoxelMap::tileAt(double x, double y) const {
-  return {static_cast<std::int32_t>(std::floor(x / tile_size_)),
-          static_cast<std::int32_t>(std::floor(y / tile_size_))};
+  return {static_cast<std::int32_t>(std::floor((x - tile_corner_.x()) / tile_size_)),
+          static_cast<std::int32_t>(std::floor((y - tile_corner_.y()) / tile_size_))};
 }
 
 Eigen::Vector3d VoxelMap::originOf(const BlockIndex& index) const {
-  return {(index.x + 0.5) * tile_size_, (index.y + 0.5) * tile_size_, height_datum_};
+  return {tile_corner_.x() + (index.x + 0.5) * tile_size_,
+          tile_corner_.y() + (index.y + 0.5) * tile_size_, height_datum_};
 }
 
 const VoxelTile* VoxelMap::find(const BlockIndex& index) const {

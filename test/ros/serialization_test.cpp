@@ -30,6 +30,7 @@ BlockHeader someHeader() {
   header.revision = 4U;
   header.final = true;
   header.tile_size = 2.5;
+  header.tile_corner = {-0.7, 12.3};
   header.margin = 0.4;
   return header;
 }
@@ -98,6 +99,7 @@ void expectSame(const BlockHeader& a, const BlockHeader& b) {
   EXPECT_EQ(a.revision, b.revision);
   EXPECT_EQ(a.final, b.final);
   EXPECT_EQ(a.tile_size, b.tile_size);
+  EXPECT_EQ(a.tile_corner, b.tile_corner);
   EXPECT_EQ(a.margin, b.margin);
 }
 

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
 #include <string>
 
@@ -8,7 +9,8 @@
 
 namespace field_phenotyping {
 
-/// Which square tile of the scene; tile (i, j) covers [i, i+1) x [j, j+1) tile sizes.
+/// Which square tile of the scene; tile (i, j) covers [i, i+1) x [j, j+1) tile sizes from the
+/// corner of tile (0, 0).
 struct BlockIndex {
   std::int32_t x = 0;
   std::int32_t y = 0;
@@ -29,12 +31,19 @@ struct BlockHeader {
   std::uint32_t revision = 0U;  ///< counts how often this block has been handed on, from 1
   bool final = false;           ///< no further scan is expected to reach this block
   double tile_size = 2.0;       ///< [m]
-  double margin = 0.6;          ///< [m] of the neighbours' points that go with the tile
+  Eigen::Vector2d tile_corner = Eigen::Vector2d::Zero();  ///< of tile (0, 0) [m], in the map frame
+  double margin = 0.6;  ///< [m] of the neighbours' points that go with the tile
+
+  /// Least x and y of the tile in the map frame [m].
+  Eigen::Vector2d lowCorner() const {
+    return tile_corner + tile_size * Eigen::Vector2d(index.x, index.y);
+  }
 
   /// Whether (x, y) of the map frame lies in the tile, or within `tolerance` [m] of it.
   bool holds(double x, double y, double tolerance = 0.0) const {
-    return x >= index.x * tile_size - tolerance && x < (index.x + 1) * tile_size + tolerance &&
-           y >= index.y * tile_size - tolerance && y < (index.y + 1) * tile_size + tolerance;
+    const Eigen::Vector2d low = lowCorner();
+    return x >= low.x() - tolerance && x < low.x() + tile_size + tolerance &&
+           y >= low.y() - tolerance && y < low.y() + tile_size + tolerance;
   }
 };
 

@@ -33,7 +33,9 @@ struct ScanReport {
 class Preprocessor {
  public:
   /// @param frame_id frame of the map, written into every block
-  Preprocessor(const PreprocessingParameters& parameters, std::string frame_id);
+  /// @param tile_corner of tile (0, 0) [m]: where tiles begin is free, but must not change
+  Preprocessor(const PreprocessingParameters& parameters, std::string frame_id,
+               const Eigen::Vector2d& tile_corner = Eigen::Vector2d::Zero());
   ~Preprocessor();
   Preprocessor(Preprocessor&&) noexcept;
   Preprocessor& operator=(Preprocessor&&) noexcept;

@@ -4,9 +4,9 @@
 #include <array>
 #include <cstdint>
 #include <map>
-#include <unordered_map>
 #include <vector>
 
+#include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
 
@@ -43,7 +43,7 @@ class VoxelTile {
     std::uint32_t count = 0U;
   };
 
-  std::unordered_map<VoxelKey, std::uint32_t> index_;
+  KeyMap<std::uint32_t> index_;  // of voxels_, by key
   std::vector<Voxel> voxels_;
   std::vector<std::array<std::uint64_t, 4>> colors_;  // sums of red, green, blue; how many
 };
@@ -51,7 +51,9 @@ class VoxelTile {
 /// Tiles by index, each with its place in the map frame. Tiles open as points arrive.
 class VoxelMap {
  public:
-  VoxelMap(double tile_size, double voxel_size);
+  /// @param tile_corner of tile (0, 0) [m], in the map frame
+  VoxelMap(double tile_size, double voxel_size,
+           const Eigen::Vector2d& tile_corner = Eigen::Vector2d::Zero());
 
   /// Index of the tile that holds (x, y) of the map frame.
   BlockIndex tileAt(double x, double y) const;
@@ -74,6 +76,7 @@ class VoxelMap {
  private:
   double tile_size_;
   double voxel_size_;
+  Eigen::Vector2d tile_corner_;
   double height_datum_ = 0.0;
   std::map<BlockIndex, VoxelTile> tiles_;
 };
