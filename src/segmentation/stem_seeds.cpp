@@ -7,6 +7,8 @@
 #include <numeric>
 #include <utility>
 
+#include "field_phenotyping/common/key_map.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -47,10 +49,9 @@ bool isFlat(const Eigen::Vector3f& point, const NeighborGrid& grid, float radius
 /// What a point says about a stem in its slab; weight 0: nothing.
 Vote voteOf(std::size_t i, const Block& block, const NeighborGrid& grid,
             const std::vector<LocalShape>& shapes, const SegmentationParameters& p,
-            SeedEvidence evidence) {
+            float min_cosine, SeedEvidence evidence) {
   const Eigen::Vector3f& point = block.cloud.points[i];
   if (evidence == SeedEvidence::kDensity) return {point, Eigen::Vector2f::Zero(), 1.0F};
-  const auto min_cosine = static_cast<float>(std::cos(p.max_lean * M_PI / 180.0));
   const LocalShape& shape = shapes[i];
   Vote vote{point, Eigen::Vector2f::Zero(), 0.0F};
   if (shape.direction.z() < min_cosine) return vote;
@@ -71,6 +72,7 @@ std::vector<std::vector<Vote>> collectVotes(const Block& block, const NeighborGr
                                             const std::vector<std::uint8_t>& explained) {
   const auto min_height = static_cast<float>(p.seed_min_height);
   const auto slab_height = static_cast<float>(p.seed_slab);
+  const auto min_cosine = static_cast<float>(std::cos(p.max_lean * M_PI / 180.0));
   std::vector<std::vector<Vote>> slabs;
   for (std::size_t i = 0; i < block.cloud.size(); ++i) {
     if (!explained.empty() && explained[i] != 0U) continue;
@@ -79,7 +81,7 @@ std::vector<std::vector<Vote>> collectVotes(const Block& block, const NeighborGr
     const auto slab = static_cast<std::size_t>((height - min_height) / slab_height);
     constexpr std::size_t kMaxSlabs = 2000U;
     if (slab >= kMaxSlabs) continue;
-    const Vote vote = voteOf(i, block, grid, shapes, p, evidence);
+    const Vote vote = voteOf(i, block, grid, shapes, p, min_cosine, evidence);
     if (!(vote.weight > 0.0F)) continue;
     if (slab >= slabs.size()) slabs.resize(slab + 1U);
     slabs[slab].push_back(vote);
@@ -87,11 +89,34 @@ std::vector<std::vector<Vote>> collectVotes(const Block& block, const NeighborGr
   return slabs;
 }
 
+/// Votes of one slab that lie together in a column `width` [m] wide, as one.
+std::vector<Vote> mergeVotes(const std::vector<Vote>& votes, float width) {
+  std::vector<Vote> merged;
+  KeyMap<std::uint32_t> column_at;
+  for (const Vote& vote : votes) {
+    const auto x = static_cast<std::int32_t>(std::floor(vote.position.x() / width));
+    const auto y = static_cast<std::int32_t>(std::floor(vote.position.y() / width));
+    const std::uint64_t key = static_cast<std::uint64_t>(static_cast<std::uint32_t>(x)) << 32U |
+                              static_cast<std::uint32_t>(y);
+    const auto [column, is_new] =
+        column_at.tryEmplace(key, static_cast<std::uint32_t>(merged.size()));
+    if (is_new) merged.push_back({Eigen::Vector3f::Zero(), Eigen::Vector2f::Zero(), 0.0F});
+    Vote& sum = merged[*column];
+    sum.weight += vote.weight;
+    const float share = vote.weight / sum.weight;
+    sum.position += share * (vote.position - sum.position);
+    sum.slope += share * (vote.slope - sum.slope);
+  }
+  return merged;
+}
+
 /// Peaks of the density of votes in one slab, strongest first.
-void clusterSlab(const std::vector<Vote>& votes, int slab, float max_stem_radius,
+void clusterSlab(const std::vector<Vote>& all_votes, int slab, float max_stem_radius,
                  std::vector<Cluster>& clusters) {
   const float radius = kClusterRadius * max_stem_radius;
   const float spacing = kClusterSpacing * max_stem_radius;
+  constexpr float kColumn = 0.2F;  // of the clusters' radius
+  const std::vector<Vote> votes = mergeVotes(all_votes, kColumn * radius);
   if (votes.empty()) return;
   std::vector<Eigen::Vector3f> flat(votes.size());
   for (std::size_t i = 0; i < votes.size(); ++i) {
