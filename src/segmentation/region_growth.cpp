@@ -42,18 +42,21 @@ GrowthSettings::GrowthSettings(const SegmentationParameters& parameters)
 std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis& axis,
                                         float radius) {
   std::vector<std::uint32_t> found;
-  constexpr float kStep = 0.4F;  // of the radius: spheres so close make a smooth tube
-  const int steps = static_cast<int>(std::ceil(axis.length() / (kStep * radius)));
-  Eigen::Vector3f last = Eigen::Vector3f::Zero();
-  for (int k = 0; k <= steps; ++k) {
-    const float s = axis.length() * static_cast<float>(k) / static_cast<float>(steps);
-    const Eigen::Vector3f center = axis.pointAt(s);
-    scene.grid.forEachWithin(center, radius, [&](std::uint32_t i, float) {
-      // Most points lie in several spheres; those of the last one are found already.
-      if (k > 0 && (scene.points[i] - last).squaredNorm() <= radius * radius) return;
-      found.push_back(i);
-    });
-    last = center;
+  constexpr float kStep = 1.0F;  // of the radius
+  const int steps = std::max(static_cast<int>(std::ceil(axis.length() / (kStep * radius))), 1);
+  for (int k = 0; k < steps; ++k) {
+    const float part = axis.length() / static_cast<float>(steps);
+    const Eigen::Vector3f begin = axis.pointAt(part * static_cast<float>(k));
+    const Eigen::Vector3f chord = axis.pointAt(part * static_cast<float>(k + 1)) - begin;
+    const float squared_chord = chord.squaredNorm();
+    scene.grid.forEachNearBox(begin.cwiseMin(begin + chord), begin.cwiseMax(begin + chord), radius,
+                              [&](std::uint32_t i, const Eigen::Vector3f& point) {
+                                const Eigen::Vector3f away = point - begin;
+                                const float share =
+                                    std::clamp(chord.dot(away) / squared_chord, 0.0F, 1.0F);
+                                if ((away - share * chord).squaredNorm() <= radius * radius)
+                                  found.push_back(i);
+                              });
   }
   std::sort(found.begin(), found.end());
   found.erase(std::unique(found.begin(), found.end()), found.end());
