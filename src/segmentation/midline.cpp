@@ -748,11 +748,22 @@ std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCu
   CurveFit blob(local, line, scale);
   blob.setActive(0.0, high - low);
   for (const double width : {0.42, 0.35, 0.29}) blob.fitBlob(width * scale.reach);
-  std::vector<Hypothesis> fits;
+  std::vector<std::pair<double, CurveFit>> begun;  // with the evidence so far
   for (const double radius : {0.2, 0.3, 0.42, 0.58, 0.8}) {
     CurveFit fit = blob;
     fit.setRadius(radius * scale.thickest);
     for (const double spread : {0.006, 0.005}) fit.fitSurface(spread);
+    const double evidence = fit.evidence(0.0, high - low);
+    begun.emplace_back(evidence, std::move(fit));
+  }
+  // Soon it shows which radii are worth going on with.
+  constexpr std::size_t kLikely = 2U;
+  std::stable_sort(begun.begin(), begun.end(),
+                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  begun.erase(begun.begin() + kLikely, begun.end());
+  std::vector<Hypothesis> fits;
+  for (auto& one : begun) {
+    CurveFit& fit = one.second;
     for (int round = 0; round < 3; ++round) fit.fitSurface(fit.surfaceSpread());
     fits.push_back({fit.continuedOver(near, way, low, high), low, high, low});
   }
