@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace field_phenotyping {
 namespace {
@@ -83,9 +84,17 @@ float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midli
   return on_surface * (kSurface + kAcross * across + kAlong * along);
 }
 
-GrowthRegion growRegion(const GrowthScene& scene, const Eigen::Vector3f& start,
-                        const Eigen::Vector3f& end, const Midline& midline,
-                        const GrowthSettings& settings) {
+StemScene::StemScene(const GrowthScene& scene, Midline midline)
+    : cloud_(scene), midline_(std::move(midline)) {}
+
+float StemScene::similarityOf(std::uint32_t i) const {
+  const auto [known, is_new] = known_.tryEmplace(i, 0.0F);
+  if (is_new) *known = similarity(cloud_, i, midline_);
+  return *known;
+}
+
+GrowthRegion growRegion(const StemScene& scene, const Eigen::Vector3f& start,
+                        const Eigen::Vector3f& end, const GrowthSettings& settings) {
   GrowthRegion region;
   region.start = start;
   region.end = end;
@@ -97,15 +106,15 @@ GrowthRegion growRegion(const GrowthScene& scene, const Eigen::Vector3f& start,
   for (int step = 0; step < settings.max_steps; ++step) {
     // Points inside the sphere B(s_k, r1) that are like the stem are candidates and join.
     candidates.clear();
-    scene.grid.forEachWithin(s_k, settings.r1, [&](std::uint32_t i, float) {
-      if (similarity(scene, i, midline) >= settings.M) candidates.push_back(i);
+    scene.cloud().grid.forEachWithin(s_k, settings.r1, [&](std::uint32_t i, float) {
+      if (scene.similarityOf(i) >= settings.M) candidates.push_back(i);
     });
     region.points.insert(region.points.end(), candidates.begin(), candidates.end());
     ++region.steps;
 
     // a. Growth direction (Eq 1, 2).
     const Eigen::Vector3f to_end = end - s_k;
-    const Eigen::Vector3f v_k = settings.alpha * meanDirection(scene, candidates, s_k) +
+    const Eigen::Vector3f v_k = settings.alpha * meanDirection(scene.cloud(), candidates, s_k) +
                                 settings.beta * to_end.normalized();
     // b. New seed (Eq 3); the step stays within [0.5, 1] r1 so that it can neither stall nor skip.
     const float speed = v_k.norm();

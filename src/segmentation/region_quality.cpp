@@ -24,21 +24,6 @@ float consistency(const std::vector<float>& values, const std::vector<float>& ne
 
 namespace {
 
-/// Points that crowd round a stem without being its own: within twice its skin.
-std::size_t countAround(const GrowthScene& scene, const Midline& midline) {
-  const StemAxis& axis = midline.axis;
-  const auto skinAt = [&](float radius) { return radius + 2.0F * midline.spread; };
-  float widest = 0.0F;
-  for (const StemAxis::Node& node : axis.nodes()) widest = std::max(widest, skinAt(node.radius));
-  std::size_t count = 0U;
-  for (const std::uint32_t i : pointsAround(scene, axis, 2.0F * widest)) {
-    const StemAxis::Projection at = axis.project(scene.points[i]);
-    if (at.arc_length < 0.0F || at.arc_length > axis.length()) continue;
-    if (at.distance > skinAt(at.radius) && at.distance < 2.0F * skinAt(at.radius)) ++count;
-  }
-  return count;
-}
-
 /// Of every value the mean of its neighbours in that order, on either side.
 std::vector<float> neighborMeans(const std::vector<float>& values,
                                  const std::vector<std::size_t>& order) {
@@ -56,8 +41,23 @@ std::vector<float> neighborMeans(const std::vector<float>& values,
 
 }  // namespace
 
+std::size_t countCrowd(const GrowthScene& scene, const Midline& midline) {
+  const StemAxis& axis = midline.axis;
+  const auto skinAt = [&](float radius) { return radius + 2.0F * midline.spread; };
+  float widest = 0.0F;
+  for (const StemAxis::Node& node : axis.nodes()) widest = std::max(widest, skinAt(node.radius));
+  std::size_t count = 0U;
+  for (const std::uint32_t i : pointsAround(scene, axis, 2.0F * widest)) {
+    const StemAxis::Projection at = axis.project(scene.points[i]);
+    if (at.arc_length < 0.0F || at.arc_length > axis.length()) continue;
+    if (at.distance > skinAt(at.radius) && at.distance < 2.0F * skinAt(at.radius)) ++count;
+  }
+  return count;
+}
+
 RegionQuality evaluateRegion(const GrowthScene& scene, std::size_t grown,
-                             const std::vector<std::uint32_t>& kept, const Midline& midline) {
+                             const std::vector<std::uint32_t>& kept, const Midline& midline,
+                             std::size_t crowd) {
   const StemAxis& axis = midline.axis;
   RegionQuality quality;
   if (kept.empty() || grown == 0U) return quality;
@@ -92,8 +92,8 @@ RegionQuality evaluateRegion(const GrowthScene& scene, std::size_t grown,
   constexpr float kDistance = 0.5F;
   const auto count = static_cast<float>(kept.size());
   const float near_axis = farthest > 0.0F ? 1.0F - distances / count / farthest : 1.0F;
-  quality.structural = kOutliers * count / static_cast<float>(grown + countAround(scene, midline)) +
-                       kDistance * near_axis;
+  quality.structural =
+      kOutliers * count / static_cast<float>(grown + crowd) + kDistance * near_axis;
 
   constexpr float kGeometric = 0.2F;  // the weights of Eq 9
   constexpr float kStructural = 0.8F;

@@ -19,16 +19,17 @@ float segmentM(const StemSegment& segment, float M, const SegmentationParameters
 }
 
 /// Step 2: a region from each start point to its end point, grown independently.
-std::vector<GrowthRegion> growRegions(const GrowthScene& scene, const Midline& midline,
+std::vector<GrowthRegion> growRegions(const StemScene& scene,
                                       const std::vector<StemSegment>& segments,
                                       const GrowthSettings& settings,
                                       const SegmentationParameters& parameters) {
+  const StemAxis& axis = scene.midline().axis;
   std::vector<GrowthRegion> regions;
   for (const StemSegment& segment : segments) {
     GrowthSettings own = settings;
     own.M = segmentM(segment, settings.M, parameters);
-    regions.push_back(growRegion(scene, midline.axis.pointAt(segment.begin),
-                                 midline.axis.pointAt(segment.end), midline, own));
+    regions.push_back(
+        growRegion(scene, axis.pointAt(segment.begin), axis.pointAt(segment.end), own));
   }
   return regions;
 }
@@ -56,21 +57,24 @@ struct Growth {
 
 /// Steps 2 and 3: growth, merging, and the removal of what was over-segmented.
 /// @param threshold of merging [m]; chosen from the regions' distances where it is not positive
-Growth growOnce(const GrowthScene& scene, const Midline& midline,
-                const std::vector<StemSegment>& segments, const GrowthSettings& settings,
-                float max_gap, float& threshold, const SegmentationParameters& parameters) {
+/// @param crowd     of countCrowd()
+Growth growOnce(const StemScene& scene, std::size_t crowd, const std::vector<StemSegment>& segments,
+                const GrowthSettings& settings, float max_gap, float& threshold,
+                const SegmentationParameters& parameters) {
   Growth growth;
-  growth.regions = growRegions(scene, midline, segments, settings, parameters);
-  const std::vector<float> distances = neighborDistances(scene.points, growth.regions);
+  growth.regions = growRegions(scene, segments, settings, parameters);
+  const std::vector<Eigen::Vector3f>& points = scene.cloud().points;
+  const std::vector<float> distances = neighborDistances(points, growth.regions);
   constexpr float kLeastGap = 0.5F;  // of max_gap: leaves hide as much of a sound stem
   if (!(threshold > 0.0F)) {
     threshold = initialMergingThreshold(distances, kLeastGap * max_gap, max_gap);
   }
   growth.merged = mergeRegions(growth.regions, distances, threshold);
-  growth.points = pruneByMidline(scene.points, pointsOf(growth.regions, growth.merged),
-                                 midline.axis, static_cast<float>(parameters.prune_factor));
-  growth.quality =
-      evaluateRegion(scene, pointsOf(growth.regions).size(), growth.points, midline).overall;
+  growth.points = pruneByMidline(points, pointsOf(growth.regions, growth.merged),
+                                 scene.midline().axis, static_cast<float>(parameters.prune_factor));
+  growth.quality = evaluateRegion(scene.cloud(), pointsOf(growth.regions).size(), growth.points,
+                                  scene.midline(), crowd)
+                       .overall;
   return growth;
 }
 
@@ -91,10 +95,10 @@ GrownStem growCandidate(const GrowthScene& scene, Midline midline,
                         const SegmentationParameters& parameters) {
   const GrowthSettings settings(parameters);
   std::vector<GrowthRegion> regions;
+  const StemScene stem_scene(scene, midline);
   const std::vector<StemAxis::Node>& nodes = midline.axis.nodes();
   for (std::size_t k = 0; k + 1U < nodes.size(); ++k) {
-    regions.push_back(
-        growRegion(scene, nodes[k].position, nodes[k + 1U].position, midline, settings));
+    regions.push_back(growRegion(stem_scene, nodes[k].position, nodes[k + 1U].position, settings));
   }
   GrownStem stem;
   stem.points = pruneByMidline(scene.points, pointsOf(regions), midline.axis,
@@ -111,6 +115,8 @@ GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_g
       splitStem(midline.axis.length(),
                 findBranchings(scene.points, pointsAround(scene, midline.axis, first.r1), midline));
 
+  const StemScene stem_scene(scene, midline);
+  const std::size_t crowd = countCrowd(scene, midline);
   Growth best;
   GrowthSettings best_settings = first;
   GrowthSettings settings = first;
@@ -118,7 +124,7 @@ GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_g
   const auto most_cycles = static_cast<std::uint32_t>(parameters.max_growth_cycles);
   std::uint32_t cycles = 0U;
   while (cycles < most_cycles) {
-    Growth growth = growOnce(scene, midline, segments, settings, max_gap, threshold, parameters);
+    Growth growth = growOnce(stem_scene, crowd, segments, settings, max_gap, threshold, parameters);
     ++cycles;
     const float quality = growth.quality;
     if (cycles == 1U || quality > best.quality) {
@@ -132,7 +138,8 @@ GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_g
     const auto slope = [&](float GrowthSettings::*weight) {
       GrowthSettings changed = settings;
       changed.*weight += kDifference;
-      return (growOnce(scene, midline, segments, changed, max_gap, threshold, parameters).quality -
+      return (growOnce(stem_scene, crowd, segments, changed, max_gap, threshold, parameters)
+                  .quality -
               quality) /
              kDifference;
     };

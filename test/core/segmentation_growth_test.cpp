@@ -289,7 +289,7 @@ TEST(RegionGrowth, WithoutCandidatesWalksStraightToTheEnd) {
     SegmentationParameters parameters = growthParameters(0.2, beta);
     parameters.r1 = r1;
     const GrowthRegion region =
-        growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+        growRegion({cloud.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters));
     EXPECT_TRUE(region.points.empty());
     return region.steps;
   };
@@ -308,7 +308,7 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
   const TinyCloud cloud(points);
   SegmentationParameters parameters = growthParameters(0.0, 0.8);
   const GrowthRegion region =
-      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+      growRegion({cloud.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters));
   std::vector<std::uint32_t> expected;
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     for (int step = 0; step < 13; ++step) {
@@ -324,7 +324,7 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
 
   // The same line farther aside is never reached.
   for (Eigen::Vector3f& point : points) point.x() = 0.101F;
-  EXPECT_TRUE(growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+  EXPECT_TRUE(growRegion({TinyCloud(points).scene(), vagueMidline()}, kStart, kEnd,
                          GrowthSettings(parameters))
                   .points.empty());
 }
@@ -343,7 +343,7 @@ TEST(RegionGrowth, MeanDirectionTurnsTheWalk) {
   };
   SegmentationParameters parameters = growthParameters(0.5, 0.5);
   parameters.max_growth_steps = 2;
-  const GrowthRegion region = growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+  const GrowthRegion region = growRegion({TinyCloud(points).scene(), vagueMidline()}, kStart, kEnd,
                                          GrowthSettings(parameters));
   EXPECT_EQ(region.steps, 2U);
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
@@ -355,7 +355,7 @@ TEST(RegionGrowth, OpposedCandidatesCancel) {
       {0.09F, 0.0F, 0.0F}, {-0.09F, 0.0F, 0.0F}, {0.0F, 0.0F, 0.149F}, {0.0F, 0.0F, 0.151F}};
   SegmentationParameters parameters = growthParameters(0.6, 0.4);
   parameters.max_growth_steps = 2;
-  const GrowthRegion region = growRegion(TinyCloud(points).scene(), kStart, kEnd, vagueMidline(),
+  const GrowthRegion region = growRegion({TinyCloud(points).scene(), vagueMidline()}, kStart, kEnd,
                                          GrowthSettings(parameters));
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
 }
@@ -364,15 +364,15 @@ TEST(RegionGrowth, StopsWhereItLeavesTheSegment) {
   const TinyCloud cloud({{0.09F, 0.0F, -0.01F}, {5.0F, 5.0F, 5.0F}});
   // Eq 4, 5: the walk is over as soon as its projection leaves [0, 1].
   SegmentationParameters parameters = growthParameters(0.0, 1.0);
-  const GrowthRegion forwards = growRegion(cloud.scene(), kStart, {0.0F, 0.0F, 0.05F},
-                                           vagueMidline(), GrowthSettings(parameters));
+  const GrowthRegion forwards = growRegion({cloud.scene(), vagueMidline()}, kStart,
+                                           {0.0F, 0.0F, 0.05F}, GrowthSettings(parameters));
   EXPECT_EQ(forwards.steps, 1U);
   EXPECT_EQ(forwards.points, std::vector<std::uint32_t>{0U});
   // Drawn backwards by the points: out at the start.
   const TinyCloud behind({{0.0F, 0.0F, -0.09F}});
   parameters = growthParameters(1.0, 0.1);
   EXPECT_EQ(
-      growRegion(behind.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps,
+      growRegion({behind.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters)).steps,
       1U);
 }
 
@@ -381,17 +381,17 @@ TEST(RegionGrowth, BoundedAndSafe) {
   SegmentationParameters parameters = growthParameters(0.2, 0.8);
   parameters.max_growth_steps = 4;
   EXPECT_EQ(
-      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters)).steps,
+      growRegion({cloud.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters)).steps,
       4U);
   // Nowhere to go: no direction, nothing joins.
   const GrowthRegion still =
-      growRegion(cloud.scene(), kStart, kStart, vagueMidline(), GrowthSettings(parameters));
+      growRegion({cloud.scene(), vagueMidline()}, kStart, kStart, GrowthSettings(parameters));
   EXPECT_EQ(still.steps, 0U);
   EXPECT_TRUE(still.points.empty());
   // A point at the seed itself has no direction; it must not spoil the mean.
   parameters.max_growth_steps = 200;
   const GrowthRegion region =
-      growRegion(cloud.scene(), kStart, kEnd, vagueMidline(), GrowthSettings(parameters));
+      growRegion({cloud.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters));
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
   EXPECT_LT(region.steps, 25U);
 }
@@ -403,7 +403,7 @@ TEST(RegionGrowth, PointsAreAscendingAndOnce) {
   Midline midline;
   midline.axis = verticalAxis(1.0F, 0.012F);
   midline.spread = 0.001F;
-  const GrowthRegion region = growRegion({points, shapes, grid}, kStart, kEnd, midline,
+  const GrowthRegion region = growRegion({GrowthScene{points, shapes, grid}, midline}, kStart, kEnd,
                                          GrowthSettings(SegmentationParameters()));
   EXPECT_GT(region.points.size(), 950U) << "a clean stem joins";
   EXPECT_TRUE(std::is_sorted(region.points.begin(), region.points.end()));
@@ -429,9 +429,9 @@ TEST(RegionGrowth, NoMoreJoinTheStricterMIs) {
   std::vector<std::size_t> counts;
   for (double M = 0.05; M <= 1.0; M += 0.05) {
     parameters.M = M;
-    const std::size_t count =
-        growRegion({points, shapes, grid}, kStart, kEnd, midline, GrowthSettings(parameters))
-            .points.size();
+    const std::size_t count = growRegion({GrowthScene{points, shapes, grid}, midline}, kStart, kEnd,
+                                         GrowthSettings(parameters))
+                                  .points.size();
     EXPECT_LE(count, most) << "M " << M;
     most = count;
     counts.push_back(count);

@@ -234,12 +234,15 @@ TEST(RegionQuality, CleanStemScoresMoreThanOneAmongLeaves) {
   const std::vector<std::uint32_t> stem = allOf(points);
   const Midline midline = uprightMidline(1.2F);
   const Cloud clean(points);
-  const RegionQuality good = evaluateRegion(clean.scene(), stem.size(), stem, midline);
+  const RegionQuality good =
+      evaluateRegion(clean.scene(), stem.size(), stem, midline, countCrowd(clean.scene(), midline));
   addLeaf(points, 0.5F, 7U);
   addLeaf(points, 0.8F, 8U);
   const Cloud leafy(points);
-  const RegionQuality worse = evaluateRegion(leafy.scene(), stem.size(), stem, midline);
-  const RegionQuality pruned = evaluateRegion(leafy.scene(), 2U * stem.size(), stem, midline);
+  const RegionQuality worse =
+      evaluateRegion(leafy.scene(), stem.size(), stem, midline, countCrowd(leafy.scene(), midline));
+  const RegionQuality pruned = evaluateRegion(leafy.scene(), 2U * stem.size(), stem, midline,
+                                              countCrowd(leafy.scene(), midline));
   for (const RegionQuality& quality : {good, worse, pruned}) {
     for (const float part : {quality.geometric, quality.structural, quality.overall}) {
       EXPECT_GT(part, 0.0F);
@@ -249,7 +252,7 @@ TEST(RegionQuality, CleanStemScoresMoreThanOneAmongLeaves) {
   }
   EXPECT_GT(good.overall, worse.overall);
   EXPECT_GT(worse.overall, pruned.overall) << "half of what had grown was taken away";
-  EXPECT_EQ(evaluateRegion(clean.scene(), 0U, {}, midline).overall, 0.0F);
+  EXPECT_EQ(evaluateRegion(clean.scene(), 0U, {}, midline, 0U).overall, 0.0F);
 }
 
 TEST(RegionQuality, LengthDoesNotCount) {
@@ -257,7 +260,9 @@ TEST(RegionQuality, LengthDoesNotCount) {
     Points points;
     addStem(points, 0.0F, length, static_cast<std::size_t>(2500.0F * length), 9U);
     const Cloud cloud(points);
-    return evaluateRegion(cloud.scene(), points.size(), allOf(points), uprightMidline(length))
+    const Midline midline = uprightMidline(length);
+    return evaluateRegion(cloud.scene(), points.size(), allOf(points), midline,
+                          countCrowd(cloud.scene(), midline))
         .overall;
   };
   EXPECT_NEAR(scoreOf(0.6F), scoreOf(2.4F), 0.05F);

@@ -8,7 +8,8 @@
 namespace field_phenotyping {
 
 /// Values by 64-bit key, in one piece of memory: many times faster to fill and to ask than a map of
-/// nodes. No key can be taken out. Not thread-safe while it is filled.
+/// nodes. Any key but the largest number; none can be taken out. Not thread-safe while it is
+/// filled.
 template <class Value>
 class KeyMap {
  public:
@@ -18,9 +19,9 @@ class KeyMap {
     constexpr std::size_t kLeast = 64U;
     if (2U * (size_ + 1U) > slots_.size()) grow(slots_.empty() ? kLeast : 2U * slots_.size());
     Slot& slot = slots_[slotOf(key)];
-    const bool is_new = !slot.used;
+    const bool is_new = slot.key == kFree;
     if (is_new) {
-      slot = {key, value, true};
+      slot = {key, value};
       ++size_;
     }
     return {&slot.value, is_new};
@@ -30,23 +31,25 @@ class KeyMap {
   const Value* find(std::uint64_t key) const {
     if (slots_.empty()) return nullptr;
     const Slot& slot = slots_[slotOf(key)];
-    return slot.used ? &slot.value : nullptr;
+    return slot.key == kFree ? nullptr : &slot.value;
   }
 
   std::size_t size() const { return size_; }
 
  private:
+  static constexpr std::uint64_t kFree = ~std::uint64_t{0};
   struct Slot {
-    std::uint64_t key = 0U;
+    std::uint64_t key = kFree;
     Value value{};
-    bool used = false;
   };
 
   /// Where the key is, or where it would go.
   std::size_t slotOf(std::uint64_t key) const {
     constexpr std::uint64_t kGolden = 0x9E3779B97F4A7C15U;  // scatters neighbouring keys
     std::size_t at = static_cast<std::size_t>((key * kGolden) >> shift_);
-    while (slots_[at].used && slots_[at].key != key) at = (at + 1U) & (slots_.size() - 1U);
+    while (slots_[at].key != kFree && slots_[at].key != key) {
+      at = (at + 1U) & (slots_.size() - 1U);
+    }
     return at;
   }
 
@@ -57,7 +60,7 @@ class KeyMap {
     shift_ = 64U;
     for (std::size_t k = slots; k > 1U; k /= 2U) --shift_;
     for (const Slot& slot : old) {
-      if (slot.used) slots_[slotOf(slot.key)] = slot;
+      if (slot.key != kFree) slots_[slotOf(slot.key)] = slot;
     }
   }
 

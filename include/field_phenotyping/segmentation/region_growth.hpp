@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
@@ -45,11 +46,26 @@ std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis
 /// surface, normal across the axis, upright shape. Compared with M.
 float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midline);
 
+/// The cloud with one stem's midline in it. Remembers how alike the points are to that stem: the
+/// spheres of its growth overlap, and it is grown again and again. Not thread-safe.
+class StemScene {
+ public:
+  StemScene(const GrowthScene& scene, Midline midline);
+  const GrowthScene& cloud() const { return cloud_; }
+  const Midline& midline() const { return midline_; }
+  /// As similarity().
+  float similarityOf(std::uint32_t i) const;
+
+ private:
+  GrowthScene cloud_;
+  Midline midline_;
+  mutable KeyMap<float> known_;
+};
+
 /// Grows one constrained region from `start` towards `end` (paper 2.4.1, Step 2, Eq 1-5): a sphere
 /// of radius r1 walks up the stem; points inside that are similar to it by M or more join. Stops
-/// past `end` or after max_steps. Thread-safe.
-GrowthRegion growRegion(const GrowthScene& scene, const Eigen::Vector3f& start,
-                        const Eigen::Vector3f& end, const Midline& midline,
-                        const GrowthSettings& settings);
+/// past `end` or after max_steps.
+GrowthRegion growRegion(const StemScene& scene, const Eigen::Vector3f& start,
+                        const Eigen::Vector3f& end, const GrowthSettings& settings);
 
 }  // namespace field_phenotyping

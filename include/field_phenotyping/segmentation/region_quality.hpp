@@ -20,14 +20,19 @@ struct RegionQuality {
 /// 1 for equal values; 0 for none.
 float consistency(const std::vector<float>& values, const std::vector<float>& neighbor_means);
 
+/// Points that crowd round a stem without being its own: within twice its skin. Thread-safe.
+std::size_t countCrowd(const GrowthScene& scene, const Midline& midline);
+
 /// Evaluates a stem (paper Eq 7-9). Distances d_j of Eq 8 are taken from the stem's own surface
 /// about its axis, so that long stems do not score less. Outliers are the points that were removed
-/// again, and those that crowd round the stem within twice its skin: what grows along a leaf, or
-/// where nothing can be told apart, shows it there.
+/// again, and those that crowd round the stem: what grows along a leaf, or where nothing can be
+/// told apart, shows it there.
 /// @param grown number of points that growth gave, before merging and pruning
 /// @param kept  indices of those that are left
+/// @param crowd of countCrowd()
 /// Thread-safe.
 RegionQuality evaluateRegion(const GrowthScene& scene, std::size_t grown,
-                             const std::vector<std::uint32_t>& kept, const Midline& midline);
+                             const std::vector<std::uint32_t>& kept, const Midline& midline,
+                             std::size_t crowd);
 
 }  // namespace field_phenotyping
