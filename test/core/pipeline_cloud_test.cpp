@@ -109,6 +109,18 @@ TEST(Pipeline, EveryPlantOnceAlsoOnBordersAndCorners) {
   }
 }
 
+TEST(Pipeline, NoMoreTilesThanTheCloudNeeds) {
+  // Wherever it lies: 4 m take two tiles of 2 m on either side, and one of 5 m.
+  PointCloud cloud = borderField().cloud;
+  for (const double shift : {0.0, 0.7, -1.3}) {
+    cloud.origin = borderField().cloud.origin + Eigen::Vector3d(shift, -shift, 0.0);
+    Parameters parameters;
+    EXPECT_EQ(phenotypeCloud(cloud, parameters).blocks.size(), 4U) << "moved by " << shift << " m";
+    parameters.preprocessing.block_size = 5.0;
+    EXPECT_EQ(phenotypeCloud(cloud, parameters).blocks.size(), 1U) << "moved by " << shift << " m";
+  }
+}
+
 TEST(Pipeline, LabelsAreThoseOfTheInputPoints) {
   const Scene& scene = borderField();
   const PipelineResult result = phenotypeCloud(scene.cloud, Parameters());

@@ -144,8 +144,8 @@ TEST(VoxelMap, ColourIsThatOfTheColouredPoints) {
   EXPECT_EQ(tile.color(0U), 0x40C0FFU) << "scans without colour must not darken it";
 }
 
-TEST(VoxelMap, TilesCoverThePlaneOnce) {
-  const VoxelMap map(kTile, kVoxel);
+void expectTilesCoverThePlaneOnce(const Eigen::Vector2d& corner) {
+  const VoxelMap map(kTile, kVoxel, corner);
   const Eigen::Vector2d places[] = {{0.0, 0.0},     {1.9999, 0.0},      {2.0, 0.0},
                                     {-1e-9, 0.0},   {-2.0, -2.0},       {-2.0001, 3.9999},
                                     {1e-9, 1e-9},   {500000.0, 4.5e6},  {499999.9999, 4499999.9999},
@@ -157,6 +157,7 @@ TEST(VoxelMap, TilesCoverThePlaneOnce) {
       for (int dy = -1; dy <= 1; ++dy) {
         BlockHeader header;
         header.tile_size = kTile;
+        header.tile_corner = corner;
         header.index = {index.x + dx, index.y + dy};
         if (header.holds(place.x(), place.y())) {
           ++holders;
@@ -168,6 +169,11 @@ TEST(VoxelMap, TilesCoverThePlaneOnce) {
     const Eigen::Vector2d away = map.originOf(index).head<2>() - place;
     EXPECT_LE(away.cwiseAbs().maxCoeff(), 0.5 * kTile + 1e-9);
   }
+}
+
+TEST(VoxelMap, TilesCoverThePlaneOnce) {
+  expectTilesCoverThePlaneOnce({0.0, 0.0});
+  expectTilesCoverThePlaneOnce({-0.625, 1000.5});
 }
 
 TEST(VoxelMap, ExtractTakesTheMarginOfNeighbours) {
