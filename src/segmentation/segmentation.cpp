@@ -307,9 +307,10 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
 
   // Step 1: start points. What grows from them shows which are stems', and those how the stand
   // stands.
-  std::vector<GrownStem> stems =
-      growCandidates(scene, findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright),
-                     block.ground, plant_height, parameters);
+  const std::vector<float> upright = uprightWeights(block, grid, shapes, parameters);
+  std::vector<GrownStem> stems = growCandidates(
+      scene, findStemSeeds(block, shapes, upright, parameters, SeedEvidence::kUpright),
+      block.ground, plant_height, parameters);
   const StandLean lean = leanOf(axesOf(onlyStems(selection, stems)));
   settleFeet(scene, block, lean, parameters, stems);
   stems = onlyStems(selection, std::move(stems));
@@ -318,7 +319,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     const std::size_t most = 8U + stems.size();  // few are missing where many were found
     std::vector<GrownStem> more =
         growCandidates(scene,
-                       findStemSeeds(block, grid, shapes, parameters, evidence, lean,
+                       findStemSeeds(block, shapes, upright, parameters, evidence, lean,
                                      explainedPoints(scene, stems), most),
                        block.ground, plant_height, parameters);
     settleFeet(scene, block, lean, parameters, more);

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "field_phenotyping/common/key_map.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -46,45 +47,30 @@ bool isFlat(const Eigen::Vector3f& point, const NeighborGrid& grid, float radius
   return fine.neighbors >= kMinNeighbors && fine.curvature < kFlat;
 }
 
-/// What a point says about a stem in its slab; weight 0: nothing.
-Vote voteOf(std::size_t i, const Block& block, const NeighborGrid& grid,
-            const std::vector<LocalShape>& shapes, const SegmentationParameters& p,
-            float min_cosine, SeedEvidence evidence) {
-  const Eigen::Vector3f& point = block.cloud.points[i];
-  if (evidence == SeedEvidence::kDensity) return {point, Eigen::Vector2f::Zero(), 1.0F};
-  const LocalShape& shape = shapes[i];
-  Vote vote{point, Eigen::Vector2f::Zero(), 0.0F};
-  if (shape.direction.z() < min_cosine) return vote;
-  const float upright = (shape.direction.z() - min_cosine) / (1.0F - min_cosine);
-  const float weight = shape.linearity * std::sqrt(upright);
-  constexpr float kMinWeight = 0.25F;
-  if (weight < kMinWeight || isFlat(point, grid, 0.5F * static_cast<float>(p.seed_radius))) {
-    return vote;
-  }
-  vote.slope = shape.direction.head<2>() / shape.direction.z();
-  vote.weight = weight;
-  return vote;
-}
-
-std::vector<std::vector<Vote>> collectVotes(const Block& block, const NeighborGrid& grid,
+std::vector<std::vector<Vote>> collectVotes(const Block& block,
                                             const std::vector<LocalShape>& shapes,
+                                            const std::vector<float>& upright,
                                             const SegmentationParameters& p, SeedEvidence evidence,
                                             const std::vector<std::uint8_t>& explained) {
-  const auto min_height = static_cast<float>(p.seed_min_height);
-  const auto slab_height = static_cast<float>(p.seed_slab);
-  const auto min_cosine = static_cast<float>(std::cos(p.max_lean * M_PI / 180.0));
   std::vector<std::vector<Vote>> slabs;
   for (std::size_t i = 0; i < block.cloud.size(); ++i) {
     if (!explained.empty() && explained[i] != 0U) continue;
-    const float height = block.ground.heightAbove(block.cloud.points[i]);
-    if (height < min_height) continue;
-    const auto slab = static_cast<std::size_t>((height - min_height) / slab_height);
+    const bool is_dense = evidence == SeedEvidence::kDensity;
+    if (!is_dense && !(upright[i] > 0.0F)) continue;
+    const Eigen::Vector3f& point = block.cloud.points[i];
+    const float height = block.ground.heightAbove(point);
+    if (height < static_cast<float>(p.seed_min_height)) continue;
+    const std::size_t slab = static_cast<std::size_t>(
+        (height - static_cast<float>(p.seed_min_height)) / static_cast<float>(p.seed_slab));
     constexpr std::size_t kMaxSlabs = 2000U;
     if (slab >= kMaxSlabs) continue;
-    const Vote vote = voteOf(i, block, grid, shapes, p, min_cosine, evidence);
-    if (!(vote.weight > 0.0F)) continue;
     if (slab >= slabs.size()) slabs.resize(slab + 1U);
-    slabs[slab].push_back(vote);
+    if (is_dense) {
+      slabs[slab].push_back({point, Eigen::Vector2f::Zero(), 1.0F});
+    } else {
+      const Eigen::Vector3f& direction = shapes[i].direction;
+      slabs[slab].push_back({point, direction.head<2>() / direction.z(), upright[i]});
+    }
   }
   return slabs;
 }
@@ -94,10 +80,12 @@ std::vector<Vote> mergeVotes(const std::vector<Vote>& votes, float width) {
   std::vector<Vote> merged;
   KeyMap<std::uint32_t> column_at;
   for (const Vote& vote : votes) {
-    const auto x = static_cast<std::int32_t>(std::floor(vote.position.x() / width));
-    const auto y = static_cast<std::int32_t>(std::floor(vote.position.y() / width));
-    const std::uint64_t key = static_cast<std::uint64_t>(static_cast<std::uint32_t>(x)) << 32U |
-                              static_cast<std::uint32_t>(y);
+    constexpr std::int64_t kHalfRange = 1 << 30;  // columns on either side
+    const auto numberOf = [&](float at) {
+      return static_cast<std::uint64_t>(static_cast<std::int64_t>(std::floor(at / width)) +
+                                        kHalfRange);
+    };
+    const std::uint64_t key = numberOf(vote.position.x()) << 32U | numberOf(vote.position.y());
     const auto [column, is_new] =
         column_at.tryEmplace(key, static_cast<std::uint32_t>(merged.size()));
     if (is_new) merged.push_back({Eigen::Vector3f::Zero(), Eigen::Vector2f::Zero(), 0.0F});
@@ -289,17 +277,43 @@ void drawToCurve(std::vector<Eigen::Vector3f>& seeds) {
 
 }  // namespace
 
-std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& block_grid,
-                                     const std::vector<LocalShape>& shapes,
+std::vector<float> uprightWeights(const Block& block, const NeighborGrid& grid,
+                                  const std::vector<LocalShape>& shapes,
+                                  const SegmentationParameters& parameters) {
+  constexpr float kMinWeight = 0.25F;
+  const auto min_cosine = static_cast<float>(std::cos(parameters.max_lean * M_PI / 180.0));
+  const float fine_radius = 0.5F * static_cast<float>(parameters.seed_radius);
+  const std::vector<Eigen::Vector3f>& points = block.cloud.points;
+  std::vector<float> weights(points.size(), 0.0F);
+  constexpr std::size_t kChunk = 4096U;
+  parallelFor((points.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
+    const std::size_t end = std::min(points.size(), (chunk + 1U) * kChunk);
+    for (std::size_t i = chunk * kChunk; i < end; ++i) {
+      const LocalShape& shape = shapes[i];
+      if (shape.direction.z() < min_cosine) continue;
+      const float upright = (shape.direction.z() - min_cosine) / (1.0F - min_cosine);
+      const float weight = shape.linearity * std::sqrt(upright);
+      if (weight >= kMinWeight && !isFlat(points[i], grid, fine_radius)) weights[i] = weight;
+    }
+  });
+  return weights;
+}
+
+std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<LocalShape>& shapes,
+                                     const std::vector<float>& upright,
                                      const SegmentationParameters& parameters,
                                      SeedEvidence evidence, const StandLean& lean,
                                      const std::vector<std::uint8_t>& explained, std::size_t most) {
   // 1. Upright clusters in every slab over the local soil.
   const auto max_stem_radius = static_cast<float>(parameters.max_stem_radius);
-  const auto votes = collectVotes(block, block_grid, shapes, parameters, evidence, explained);
+  const auto votes = collectVotes(block, shapes, upright, parameters, evidence, explained);
+  std::vector<std::vector<Cluster>> of_slab(votes.size());
+  parallelFor(votes.size(), [&](std::size_t slab) {
+    clusterSlab(votes[slab], static_cast<int>(slab), max_stem_radius, of_slab[slab]);
+  });
   std::vector<Cluster> clusters;
-  for (std::size_t slab = 0; slab < votes.size(); ++slab) {
-    clusterSlab(votes[slab], static_cast<int>(slab), max_stem_radius, clusters);
+  for (const std::vector<Cluster>& of_one : of_slab) {
+    clusters.insert(clusters.end(), of_one.begin(), of_one.end());
   }
   normaliseEvidence(clusters);
   if (clusters.empty()) return {};

@@ -377,7 +377,8 @@ TEST(StemSeeds, RiseAlongTheStem) {
   const auto radius = static_cast<float>(parameters.seed_radius);
   const NeighborGrid grid(block.cloud.points, radius);
   const auto shapes = computeLocalShapes(block.cloud.points, grid, radius);
-  const auto seeds = findStemSeeds(block, grid, shapes, parameters, SeedEvidence::kUpright);
+  const auto seeds = findStemSeeds(block, shapes, uprightWeights(block, grid, shapes, parameters),
+                                   parameters, SeedEvidence::kUpright);
   ASSERT_EQ(seeds.size(), scene.plants.size());
   float score = std::numeric_limits<float>::max();
   std::set<double> seeded;
@@ -442,7 +443,8 @@ TEST(StemSeeds, DensityFindsWhatShowsNoShape) {
   const auto shapes = computeLocalShapes(block.cloud.points, grid, radius);
   const auto seedsBy = [&](SeedEvidence evidence, const std::vector<std::uint8_t>& explained,
                            std::size_t most) {
-    return findStemSeeds(block, grid, shapes, parameters, evidence, {}, explained, most);
+    return findStemSeeds(block, shapes, uprightWeights(block, grid, shapes, parameters), parameters,
+                         evidence, {}, explained, most);
   };
   EXPECT_TRUE(seedsBy(SeedEvidence::kUpright, {}, 1000U).empty());
   EXPECT_EQ(seedsBy(SeedEvidence::kDensity, {}, 1000U).size(), 2U);

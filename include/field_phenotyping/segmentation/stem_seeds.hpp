@@ -35,17 +35,24 @@ struct StandLean {
   }
 };
 
+/// What every point says for a stem by the shape of its neighbourhood: its weight in (0, 1], or 0.
+/// @param grid   over the points of `block.cloud`
+/// @param shapes local shape of every point of `block.cloud`
+std::vector<float> uprightWeights(const Block& block, const NeighborGrid& grid,
+                                  const std::vector<LocalShape>& shapes,
+                                  const SegmentationParameters& parameters);
+
 /// Finds candidates for the stems of a block. Leaves at stem height, weeds and gaps are survived
 /// because evidence must persist vertically: a stem is the best-supported chain of clusters of
 /// votes over the slabs. Some candidates are leaves; what grows from them shows it (StemSelection).
 /// Best-supported first.
-/// @param grid      over the points of `block.cloud`
 /// @param shapes    local shape of every point of `block.cloud`
+/// @param upright   of uprightWeights()
 /// @param lean      of the stand: where points are few it tells a stem from a step to the next one
 /// @param explained points to leave out, 1 each; empty: none
 /// @param most      candidates
-std::vector<StemSeeds> findStemSeeds(const Block& block, const NeighborGrid& grid,
-                                     const std::vector<LocalShape>& shapes,
+std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<LocalShape>& shapes,
+                                     const std::vector<float>& upright,
                                      const SegmentationParameters& parameters,
                                      SeedEvidence evidence, const StandLean& lean = {},
                                      const std::vector<std::uint8_t>& explained = {},
