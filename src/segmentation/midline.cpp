@@ -268,10 +268,10 @@ class CurveFit {
       const std::size_t band = sample.band;
       if (band > last) break;
       const double skin = curve_.radiusAt(sample.height) + 2.0 * spreadAt(sample.height);
-      const double distance = (sample.offset - curve_.centerAt(sample)).norm();
-      if (distance < skin) {
+      const double squared = (sample.offset - curve_.centerAt(sample)).squaredNorm();
+      if (squared < skin * skin) {
         inside[band - first] += 1.0;
-      } else if (distance < 2.0 * skin) {
+      } else if (squared < 4.0 * skin * skin) {
         around[band - first] += 1.0;
       }
     }
@@ -444,8 +444,10 @@ class CurveFit {
       const double spread = beyond > 0.0
                                 ? std::sqrt(spread_ * spread_ + kLoosen * kLoosen * beyond * beyond)
                                 : spread_;
-      const double ratio =
-          surfaceDensity(std::sqrt(squared), curve_.radiusAt(sample.height), spread) / clutter();
+      const double radius = curve_.radiusAt(sample.height);
+      const double ratio = squared < std::pow(radius + kFarthest * spread, 2)
+                               ? surfaceDensity(std::sqrt(squared), radius, spread) / clutter()
+                               : 0.0;
       std::array<LogSum, 2>& band = gains[sample.band];
       for (std::size_t k = 0; k < 2U; ++k) band[k].add(1.0 + kShares[k] * (ratio - 1.0));
     }
@@ -478,10 +480,12 @@ class CurveFit {
     constexpr double kSqrtTwoPi = 2.5066282746310002;
     return kSqrtTwoPi * 2.0 * M_PI * spread * std::max(radius, spread);
   }
+  static constexpr double kFarthest = 5.6;  // standard deviations: exp(-16) changes nothing
   static double gauss(double squared) {
-    constexpr double kNone = 32.0;  // exp(-16) changes nothing, nor does the eighth digit
-    return squared < kNone ? static_cast<double>(std::exp(static_cast<float>(-0.5 * squared)))
-                           : 0.0;
+    // Nor does the eighth digit.
+    return squared < kFarthest * kFarthest
+               ? static_cast<double>(std::exp(static_cast<float>(-0.5 * squared)))
+               : 0.0;
   }
   double clutter() const { return 1.0 / (M_PI * reach_ * reach_); }
 
@@ -547,27 +551,38 @@ class CurveFit {
     for (std::size_t band = 0; band < shares_.size(); ++band) {
       odds[band] = (1.0 - shares_[band]) / shares_[band] * clutter();
     }
+    struct Skin {
+      double spread;
+      double precision;
+      double squared_reach;
+    };
+    const auto skinAt = [&](double height) {
+      const double spread = spreadAt(height);
+      const double reach = reachAt(height);
+      return Skin{spread, 1.0 / (spread * spread), reach * reach};
+    };
+    const Skin low_skin = skinAt(-std::numeric_limits<double>::max());
+    const Skin high_skin = skinAt(std::numeric_limits<double>::max());
     for (std::size_t i = first_; i < end_; ++i) {
       posterior_[i] = 0.0;
       const Sample& sample = (*samples_)[i];
+      const auto& [spread, precision, squared_reach] = sample.height < foot_ ? low_skin : high_skin;
       const Eigen::Vector2d away = sample.offset - curve_.centerAt(sample);
       const double squared = away.squaredNorm();
-      const double reach = reachAt(sample.height);
-      if (squared > reach * reach) continue;
+      if (squared > squared_reach) continue;
       const std::size_t band = sample.band;
-      const double spread = spreadAt(sample.height);
-      const double precision = 1.0 / (spread * spread);
+      all[band] += 1.0;
+      const double radius = surface ? curve_.radiusAt(sample.height) : 0.0;
+      if (squared > std::pow(radius + kFarthest * spread, 2)) continue;
       const double distance = std::sqrt(squared);
       double density = 0.0;
       double norm = 2.0 * M_PI * spread * spread;
       if (surface) {
-        const double radius = curve_.radiusAt(sample.height);
         density = gauss((distance - radius) * (distance - radius) * precision);
         norm = surfaceNorm(radius, spread);
       } else {
         density = gauss(squared * precision);
       }
-      all[band] += 1.0;
       if (!(density > 0.0)) continue;
       const double posterior = density / (density + odds[band] * norm);
       posterior_[i] = posterior;
