@@ -18,8 +18,8 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kCell = 0.012F;        // [m] points this close are one cell
-constexpr float kShapeRadius = 0.06F;  // [m] neighbourhood that shows which way an organ runs
+constexpr float kCell = 0.015F;        // [m] points this close are one cell
+constexpr float kShapeRadius = 0.05F;  // [m] neighbourhood that shows which way an organ runs
 constexpr float kTouch = 0.03F;        // [m] cells this close touch
 constexpr float kNearReach = 0.04F;    // [m] steps within one organ
 constexpr float kWeedHeight = 0.25F;   // [m] below it an organ must touch its plant
@@ -30,6 +30,7 @@ struct Cells {
   std::vector<Eigen::Vector3f> centers;
   std::vector<std::int32_t> owner;
   std::vector<std::uint8_t> is_stem;
+  std::vector<std::uint8_t> is_low;  // where weeds grow
   std::vector<LocalShape> shapes;
 
   std::uint32_t size() const { return static_cast<std::uint32_t>(centers.size()); }
@@ -65,7 +66,10 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner) {
     if (cells.owner.back() < 0) cells.owner.back() = owner[i];
   }
   for (std::size_t n = 0; n < cells.size(); ++n) cells.centers[n] /= counts[n];
-  for (const std::int32_t plant : cells.owner) cells.is_stem.push_back(plant >= 0 ? 1U : 0U);
+  for (std::size_t n = 0; n < cells.size(); ++n) {
+    cells.is_stem.push_back(cells.owner[n] >= 0 ? 1U : 0U);
+    cells.is_low.push_back(block.ground.heightAbove(cells.centers[n]) < kWeedHeight ? 1U : 0U);
+  }
   // Stems would pull the shape of what passes them towards their own.
   std::vector<Eigen::Vector3f> organs;
   for (std::size_t n = 0; n < cells.size(); ++n) {
@@ -96,10 +100,11 @@ std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const NeighborGrid
                                           float noise) {
   constexpr float kMostCurvature = 0.04F;  // of a leaf among others, without noise
   constexpr float kNoiseCurvature = 3.0F;  // of a leaf, per its squared thickness
-  constexpr float kLeastLinearity = 0.3F;
+  // A piece too many is linked again; one that runs from leaf to leaf is lost for one of them.
+  constexpr float kLeastLinearity = 0.45F;
   constexpr std::uint32_t kLeastNeighbors = 6U;
   constexpr float kAlike = 0.94F;    // cosine of the largest bend from cell to cell
-  constexpr float kOffset = 0.007F;  // [m] out of the ribbon
+  constexpr float kOffset = 0.005F;  // [m] out of the ribbon
   // Noise thickens all leaves alike.
   const float thickness = noise / kShapeRadius;
   const float most_curvature = kMostCurvature + kNoiseCurvature * thickness * thickness;
@@ -268,8 +273,7 @@ struct Link {
 };
 
 /// Links pieces that lie in each other's continuation: dear over gaps, and dearer round bends.
-std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& pieces,
-                                          const GroundModel& ground, float reach) {
+std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& pieces, float reach) {
   constexpr float kGapScale = 0.06F;   // [m] of gap that costs 1
   constexpr float kBendScale = 0.26F;  // [rad] standard deviation of a bend
   constexpr float kAside = 0.006F;     // [m] half a cell: sideways steps that are no bend
@@ -300,7 +304,6 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
     farthest[piece] = 0.0F;
     for (const std::uint32_t a : pieces.cells[piece]) {
       const Eigen::Vector3f& direction = cells.shapes[a].direction;
-      const bool is_low = ground.heightAbove(cells.centers[a]) < kWeedHeight;
       // Gathered first, without a branch per cell, since most are of no use.
       std::size_t count = 0U;
       grid.forEachNearBox(cells.centers[a], cells.centers[a], reach,
@@ -333,9 +336,7 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
         };
         const float cost = gap_cost + kPerBend * (bend(direction) + bend(onward) + whole);
         if (cost >= least[other]) continue;
-        if (gap > kNearReach && (is_low || ground.heightAbove(cells.centers[b]) < kWeedHeight)) {
-          continue;
-        }
+        if (gap > kNearReach && (cells.is_low[a] | cells.is_low[b]) != 0) continue;
         if (least[other] == kMostCost) touched.push_back(other);
         least[other] = cost;
         farthest[other] = squaredGap(cost);
@@ -379,55 +380,47 @@ Pose poseOf(const LocalShape& shape, const Eigen::Vector3f& center, const StemAx
   return pose;
 }
 
-/// Form of the leaves of a stand, by the distance from their stem. Maize leaves stay in a vertical
-/// plane through their own stem, rise steeply from it and flatten, then droop. How soon depends on
-/// age and variety, so it is learnt from the block itself.
+/// Form of the leaves of a stand, by the distance from their stem and by height. Maize leaves stay
+/// in a vertical plane through their own stem, rise steeply from it and flatten, then droop; the
+/// upper ones stand more upright. How much depends on age and variety, so it is learnt from the
+/// block itself.
 class LeafForm {
  public:
   /// Leaves about tasselling, loosely.
   LeafForm() {
     constexpr float kSlopeAtStem = 1.13F;  // [rad]
     constexpr float kSlopeLoss = 2.1F;     // [rad/m]
+    Profile& usual = bands_.front();
     for (std::size_t k = 0; k < kBins; ++k) {
       const float distance = kBin * (static_cast<float>(k) + 0.5F);
-      bins_[k].slope = kSlopeAtStem - kSlopeLoss * distance;
-      bins_[k].slope_spread = 0.35F + 1.0F * distance;
-      bins_[k].miss_spread = 0.02F + 0.3F * distance;
+      usual[k].slope = kSlopeAtStem - kSlopeLoss * distance;
+      usual[k].slope_spread = 0.35F + 1.0F * distance;
+      usual[k].miss_spread = 0.02F + 0.3F * distance;
     }
+    bands_.fill(Profile(usual));
   }
 
   /// The form of the organs that have an owner; robust against a minority of wrong ones.
   static LeafForm learn(const Cells& cells, const std::vector<StemAxis>& axes) {
     constexpr float kLeastLinearity = 0.3F;
-    std::array<std::vector<float>, kBins> slopes;
-    std::array<std::vector<float>, kBins> misses;
+    Samples whole;
+    std::array<Samples, kBands> samples;
     for (std::uint32_t n = 0; n < cells.size(); ++n) {
       if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
       if (cells.shapes[n].linearity < kLeastLinearity) continue;
-      const Pose pose =
-          poseOf(cells.shapes[n], cells.centers[n], axes[static_cast<std::size_t>(cells.owner[n])]);
+      const StemAxis& axis = axes[static_cast<std::size_t>(cells.owner[n])];
+      const Pose pose = poseOf(cells.shapes[n], cells.centers[n], axis);
       const auto bin = static_cast<std::size_t>(pose.distance / kBin);
       if (!pose.known || bin >= kBins) continue;
-      slopes[bin].push_back(pose.slope);
-      misses[bin].push_back(pose.miss);
-    }
-    constexpr std::size_t kEnough = 100U;
-    constexpr float kLeastSlopeSpread = 0.15F;  // [rad]
-    constexpr float kLeastMissSpread = 0.015F;  // [m]
-    constexpr float kStddevOfMad = 1.48F;
-    LeafForm form;
-    const Bin* last = nullptr;
-    for (std::size_t k = 0; k < kBins; ++k) {
-      Bin& bin = form.bins_[k];
-      if (slopes[k].size() >= kEnough) {
-        bin.slope = medianOf(slopes[k]);
-        for (float& slope : slopes[k]) slope = std::abs(slope - bin.slope);
-        bin.slope_spread = std::max(kLeastSlopeSpread, kStddevOfMad * medianOf(slopes[k]));
-        bin.miss_spread = std::max(kLeastMissSpread, kStddevOfMad * medianOf(misses[k]));
-        last = &bin;
-      } else if (last != nullptr) {
-        bin = *last;
+      for (Samples* of : {&whole, &samples[bandOf(cells.centers[n], axis)]}) {
+        of->slopes[bin].push_back(pose.slope);
+        of->misses[bin].push_back(pose.miss);
       }
+    }
+    LeafForm form;
+    const Profile usual = profileOf(whole, form.bands_.front());
+    for (std::size_t band = 0; band < kBands; ++band) {
+      form.bands_[band] = profileOf(samples[band], usual);
     }
     return form;
   }
@@ -437,29 +430,63 @@ class LeafForm {
   float misfit(const LocalShape& shape, const Eigen::Vector3f& center, const StemAxis& axis) const {
     const Pose pose = poseOf(shape, center, axis);
     if (!pose.known) return 0.0F;
+    const Profile& profile = bands_[bandOf(center, axis)];
     const float at = std::clamp(pose.distance / kBin - 0.5F, 0.0F, kBins - 1.001F);
     const auto k = static_cast<std::size_t>(at);
     const float share = at - static_cast<float>(k);
     const auto between = [&](float Bin::*value) {
-      return (1.0F - share) * bins_[k].*value + share * bins_[k + 1U].*value;
+      return (1.0F - share) * profile[k].*value + share * profile[k + 1U].*value;
     };
     const float off_plane = pose.miss / between(&Bin::miss_spread);
     const float off_slope = (pose.slope - between(&Bin::slope)) / between(&Bin::slope_spread);
-    constexpr float kMost = 10.0F;
-    return shape.linearity *
-           std::min(0.5F * (off_plane * off_plane + off_slope * off_slope), kMost);
+    // Not its square, since a leaf that is bent or torn is odd all along.
+    constexpr float kTail = 2.0F;
+    return shape.linearity * kTail *
+           std::log1p(0.5F / kTail * (off_plane * off_plane + off_slope * off_slope));
   }
 
  private:
   static constexpr std::size_t kBins = 20U;
-  static constexpr float kBin = 0.05F;  // [m]
+  static constexpr float kBin = 0.05F;       // [m]
+  static constexpr std::size_t kBands = 5U;  // of equal height up the stem
   struct Bin {
     float slope = 0.0F;
     float slope_spread = 0.0F;
     float miss_spread = 0.0F;
   };
+  using Profile = std::array<Bin, kBins>;
+  struct Samples {
+    std::array<std::vector<float>, kBins> slopes;
+    std::array<std::vector<float>, kBins> misses;
+  };
 
-  std::array<Bin, kBins> bins_;
+  static std::size_t bandOf(const Eigen::Vector3f& center, const StemAxis& axis) {
+    const float low = axis.nodes().front().position.z();
+    const float height = std::max(axis.nodes().back().position.z() - low, kBin);
+    const float share = std::clamp((center.z() - low) / height, 0.0F, 1.0F);
+    return std::min(static_cast<std::size_t>(share * static_cast<float>(kBands)), kBands - 1U);
+  }
+
+  /// Where a distance has few samples: `usual`, or what is known nearer to the stem.
+  static Profile profileOf(Samples& samples, const Profile& usual) {
+    constexpr std::size_t kEnough = 100U;
+    constexpr float kLeastSlopeSpread = 0.15F;  // [rad]
+    constexpr float kLeastMissSpread = 0.015F;  // [m]
+    constexpr float kStddevOfMad = 1.48F;
+    Profile profile = usual;
+    for (std::size_t k = 0; k < kBins; ++k) {
+      std::vector<float>& slopes = samples.slopes[k];
+      if (slopes.size() < kEnough) continue;
+      Bin& bin = profile[k];
+      bin.slope = medianOf(slopes);
+      for (float& slope : slopes) slope = std::abs(slope - bin.slope);
+      bin.slope_spread = std::max(kLeastSlopeSpread, kStddevOfMad * medianOf(slopes));
+      bin.miss_spread = std::max(kLeastMissSpread, kStddevOfMad * medianOf(samples.misses[k]));
+    }
+    return profile;
+  }
+
+  std::array<Profile, kBands> bands_;
 };
 
 // ---------------------------------------------------------------------------- pieces to plants
@@ -473,71 +500,107 @@ struct Entry {
 };
 using Queue = std::priority_queue<Entry, std::vector<Entry>, std::greater<Entry>>;
 
-/// Gives whole pieces to plants. A plant gets at a piece from its stem or through pieces that this
-/// one continues; every piece on the way costs as much as its form does not fit that plant. The
-/// plant with the cheapest way has it.
-void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vector<Link>>& links,
-                  const std::vector<StemAxis>& axes, const GroundModel& ground, float reach,
-                  const LeafForm& form, float misfit_weight) {
-  constexpr float kMostCost = 60.0F;
-  constexpr float kGapScale = 0.04F;    // [m] of gap between a stem and its leaf that costs 1
-  constexpr float kWholeCells = 30.0F;  // a piece of so many has its full say
-  constexpr float kNone = std::numeric_limits<float>::max();
-  const std::size_t count = pieces.cells.size();
+/// How much worse a piece fits a plant than the one that it fits best.
+struct Misfit {
+  std::uint32_t piece = 0U;
+  float cost = 0.0F;
+};
+
+/// For every plant the pieces that stand near enough to be its own. What no plant explains well,
+/// because it is bent or small, is so held against none of them, nor against what hangs on it.
+std::vector<std::vector<Misfit>> compareForms(const Cells& cells, const Pieces& pieces,
+                                              const std::vector<StemAxis>& axes,
+                                              const LeafForm& form, float weight) {
+  constexpr float kFarthest = 1.2F;      // [m] a leaf, and what its stem leans
+  constexpr float kWholeCells = 30.0F;   // a piece of so many has its full say
+  constexpr std::size_t kSamples = 64U;  // cells that show the form of a piece
+  const auto level = [](const Eigen::Vector3f& p) { return Eigen::Vector3f(p.x(), p.y(), 0.0F); };
   std::vector<std::uint8_t> has_stem(axes.size(), 0U);
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (cells.is_stem[n] != 0U) has_stem[static_cast<std::size_t>(cells.owner[n])] = 1U;
   }
+  std::vector<Eigen::Vector3f> feet;
+  for (const StemAxis& axis : axes) feet.push_back(level(axis.nodes().front().position));
+  const NeighborGrid grid(feet, 0.5F * kFarthest);
+  std::vector<std::vector<Misfit>> misfits(axes.size());
+  std::vector<std::pair<std::uint32_t, float>> of_plants;
+  for (std::uint32_t piece = 0; piece < pieces.cells.size(); ++piece) {
+    const std::vector<std::uint32_t>& members = pieces.cells[piece];
+    const std::size_t stride = (members.size() + kSamples - 1U) / kSamples;
+    const std::size_t samples = (members.size() + stride - 1U) / stride;
+    const auto size = static_cast<float>(members.size());
+    const float share = weight * size / (std::max(size, kWholeCells) * static_cast<float>(samples));
+    of_plants.clear();
+    float least = std::numeric_limits<float>::max();
+    grid.forEachWithin(level(cells.centers[members[members.size() / 2U]]), kFarthest,
+                       [&](std::uint32_t plant, float) {
+                         if (has_stem[plant] == 0U) return;
+                         float sum = 0.0F;
+                         for (std::size_t k = 0; k < members.size(); k += stride) {
+                           const std::uint32_t n = members[k];
+                           sum += form.misfit(cells.shapes[n], cells.centers[n], axes[plant]);
+                         }
+                         of_plants.emplace_back(plant, share * sum);
+                         least = std::min(least, share * sum);
+                       });
+    for (const auto& [plant, cost] : of_plants) misfits[plant].push_back({piece, cost - least});
+  }
+  return misfits;
+}
+
+/// Gives whole pieces to plants. A plant gets at a piece from its stem or through pieces that this
+/// one continues; every piece on the way costs as much as its form does not fit that plant. The
+/// plant with the cheapest way has it.
+void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vector<Link>>& links,
+                  const std::vector<StemAxis>& axes, float reach, const LeafForm& form,
+                  float misfit_weight) {
+  constexpr float kMostCost = 60.0F;
+  constexpr float kGapScale = 0.04F;  // [m] of gap between a stem and its leaf that costs 1
+  constexpr float kNone = std::numeric_limits<float>::max();
+  const std::size_t count = pieces.cells.size();
+  const std::vector<std::vector<Misfit>> misfits_of =
+      compareForms(cells, pieces, axes, form, misfit_weight);
   const NeighborGrid grid(cells.centers, 0.5F * reach);
   std::vector<float> least(count, kNone);
   std::vector<std::int32_t> plant_of(count, -1);
   std::vector<float> cost(count, kNone);
-  std::vector<float> start(count, kNone);  // at the stem
-  std::vector<float> misfits(count, kNone);
-  std::vector<std::uint32_t> starts;
-  std::vector<std::uint32_t> touched;
+  std::vector<float> start(count, kNone);    // at the stem
+  std::vector<float> misfits(count, kNone);  // of pieces near the plant
   for (std::size_t plant = 0; plant < axes.size(); ++plant) {
-    if (has_stem[plant] == 0U) continue;
     const StemAxis& axis = axes[plant];
-    Queue open;
-    const auto offer = [&](std::uint32_t piece, float through) {
-      if (through >= std::min(cost[piece], kMostCost)) return;
-      if (misfits[piece] == kNone) {
-        float sum = 0.0F;
-        for (const std::uint32_t n : pieces.cells[piece]) {
-          sum += form.misfit(cells.shapes[n], cells.centers[n], axis);
-        }
-        const auto size = static_cast<float>(pieces.cells[piece].size());
-        misfits[piece] = misfit_weight * sum / std::max(size, kWholeCells);
-        touched.push_back(piece);
-      }
-      through += misfits[piece];
-      if (through >= std::min(cost[piece], kMostCost)) return;
-      cost[piece] = through;
-      open.push({through, piece});
-    };
+    if (misfits_of[plant].empty()) continue;
+    for (const Misfit& misfit : misfits_of[plant]) misfits[misfit.piece] = misfit.cost;
 
     constexpr float kBeyondTop = 0.15F;  // [m] leaves of the whorl stand on above the end
-    starts.clear();
     const float slab = 0.5F * reach;
     for (float s = 0.0F; s <= axis.length() + kBeyondTop; s += slab) {
       const Eigen::Vector3f middle = axis.pointAt(s);
+      const float radius = axis.radiusAt(s);
       grid.forEachWithin(middle, reach, [&](std::uint32_t n, float) {
         if (pieces.of_cell[n] < 0) return;
         const Eigen::Vector3f& center = cells.centers[n];
         if (std::abs(center.z() - middle.z()) > 0.5F * slab) return;
         const auto piece = static_cast<std::uint32_t>(pieces.of_cell[n]);
+        if (misfits[piece] == kNone) return;
         const float away = (center - axis.pointAtHeight(center.z())).head<2>().norm();
-        const float gap = std::max(0.0F, away - axis.radiusAt(s));
-        if (gap > kNearReach && ground.heightAbove(center) < kWeedHeight) return;
-        const float here = gap / kGapScale + form.misfit(cells.shapes[n], center, axis);
-        if (start[piece] == kNone) starts.push_back(piece);
-        start[piece] = std::min(start[piece], here);
+        const float gap = std::max(0.0F, away - radius);
+        if (gap >= kGapScale * start[piece]) return;
+        if (gap > kNearReach && cells.is_low[n] != 0U) return;
+        start[piece] =
+            std::min(start[piece], gap / kGapScale + form.misfit(cells.shapes[n], center, axis));
       });
     }
-    for (const std::uint32_t piece : starts) {
-      offer(piece, start[piece]);
-      start[piece] = kNone;
+
+    Queue open;
+    const auto offer = [&](std::uint32_t piece, float through) {
+      if (misfits[piece] == kNone) return;
+      through += misfits[piece];
+      if (through >= std::min(cost[piece], kMostCost)) return;
+      cost[piece] = through;
+      open.push({through, piece});
+    };
+    for (const Misfit& misfit : misfits_of[plant]) {
+      if (start[misfit.piece] < kMostCost) offer(misfit.piece, start[misfit.piece]);
     }
     while (!open.empty()) {
       const Entry entry = open.top();
@@ -549,8 +612,9 @@ void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vec
       }
       for (const Link& link : links[entry.node]) offer(link.piece, entry.cost + link.cost);
     }
-    for (const std::uint32_t piece : touched) cost[piece] = misfits[piece] = kNone;
-    touched.clear();
+    for (const Misfit& misfit : misfits_of[plant]) {
+      cost[misfit.piece] = start[misfit.piece] = misfits[misfit.piece] = kNone;
+    }
   }
   for (std::size_t piece = 0; piece < count; ++piece) {
     for (const std::uint32_t n : pieces.cells[piece]) cells.owner[n] = plant_of[piece];
@@ -577,20 +641,22 @@ float stepCost(const Cells& cells, std::uint32_t from, std::uint32_t to, float s
 }
 
 /// Shortest paths from all cells with an owner to those without; a path may step `reach` at most.
-void growPaths(Cells& cells, const GroundModel& ground, const std::vector<StemAxis>& axes,
-               const LeafForm& form, float reach, bool only_tall) {
+void growPaths(Cells& cells, const std::vector<StemAxis>& axes, const LeafForm& form, float reach,
+               bool only_tall) {
   constexpr float kLeastMisfit = 0.1F;  // what a step costs through an organ that fits its plant
   const NeighborGrid grid(cells.centers, reach);
   std::vector<float> cost(cells.size(), 0.0F);  // 0: has its owner already
   std::vector<std::uint8_t> is_source(cells.size(), 0U);
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (cells.owner[n] >= 0) continue;
-    if (only_tall && ground.heightAbove(cells.centers[n]) < kWeedHeight) continue;
+    if (only_tall && cells.is_low[n] != 0U) continue;
     cost[n] = std::numeric_limits<float>::max();
     grid.forEachWithin(cells.centers[n], reach, [&](std::uint32_t near, float) {
       if (cells.owner[near] >= 0) is_source[near] = 1U;
     });
   }
+  // Paths of one plant come to a cell from many sides.
+  std::vector<std::pair<std::int32_t, float>> misfits(cells.size(), {-1, 0.0F});
   Queue open;
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (is_source[n] != 0U) open.push({0.0F, n});
@@ -605,9 +671,12 @@ void growPaths(Cells& cells, const GroundModel& ground, const std::vector<StemAx
       if (cost[next] <= entry.cost) return;
       const float step = stepCost(cells, entry.node, next, squared);
       if (entry.cost + kLeastMisfit * step >= cost[next]) return;
-      const float through =
-          entry.cost +
-          step * (kLeastMisfit + form.misfit(cells.shapes[next], cells.centers[next], axis));
+      auto& [of_plant, misfit] = misfits[next];
+      if (of_plant != plant) {
+        of_plant = plant;
+        misfit = form.misfit(cells.shapes[next], cells.centers[next], axis);
+      }
+      const float through = entry.cost + step * (kLeastMisfit + misfit);
       if (through >= cost[next]) return;
       cost[next] = through;
       cells.owner[next] = plant;
@@ -639,19 +708,18 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   const auto reach = static_cast<float>(parameters.organ_reach);
   Cells cells = gatherCells(block, owner);
   const Pieces pieces = findPieces(cells, noiseOf(block, axes, owner));
-  const std::vector<std::vector<Link>> links =
-      linkPieces(cells, pieces, block.ground, 1.3F * reach);
+  const std::vector<std::vector<Link>> links = linkPieces(cells, pieces, 1.6F * reach);
   // First with leaves as they usually are, then with what that shows of these ones.
   constexpr float kLooseWeight = 5.0F;
   constexpr float kFirmWeight = 15.0F;
   LeafForm form;
-  assignPieces(cells, pieces, links, axes, block.ground, 2.0F * reach, form, kLooseWeight);
+  assignPieces(cells, pieces, links, axes, 2.0F * reach, form, kLooseWeight);
   form = LeafForm::learn(cells, axes);
-  assignPieces(cells, pieces, links, axes, block.ground, 2.0F * reach, form, kFirmWeight);
+  assignPieces(cells, pieces, links, axes, 2.0F * reach, form, kFirmWeight);
   // Crossings, margins and what is too small or rough to be a piece.
-  growPaths(cells, block.ground, axes, form, std::min(kNearReach, reach), false);
+  growPaths(cells, axes, form, std::min(kNearReach, reach), false);
   // Gaps that leaves in front have torn; not near the soil, where weeds stand as close.
-  if (reach > kNearReach) growPaths(cells, block.ground, axes, form, reach, true);
+  if (reach > kNearReach) growPaths(cells, axes, form, reach, true);
   for (std::size_t i = 0; i < owner.size(); ++i) {
     if (owner[i] < 0) owner[i] = cells.owner[cells.of_point[i]];
   }
