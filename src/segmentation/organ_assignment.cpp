@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 #include <numeric>
+#include <optional>
 #include <queue>
 #include <utility>
 
@@ -272,76 +273,95 @@ struct Link {
   float cost = 0.0F;
 };
 
-/// Links pieces that lie in each other's continuation: dear over gaps, and dearer round bends.
-std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& pieces, float reach) {
-  constexpr float kGapScale = 0.06F;   // [m] of gap that costs 1
-  constexpr float kBendScale = 0.26F;  // [rad] standard deviation of a bend
-  constexpr float kAside = 0.006F;     // [m] half a cell: sideways steps that are no bend
-  constexpr float kMostCost = 12.0F;
+/// Every `stride`-th cell of each piece, to be looked up by place.
+struct PlacesOfPieces {
   struct Place {
     std::uint32_t piece;
     std::uint32_t cell;
   };
-  std::vector<Eigen::Vector3f> centers;
-  std::vector<Place> places;
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (pieces.of_cell[n] < 0) continue;
-    centers.push_back(cells.centers[n]);
-    places.push_back({static_cast<std::uint32_t>(pieces.of_cell[n]), n});
+
+  PlacesOfPieces(const Cells& cells, const Pieces& pieces, std::size_t every, float farthest)
+      : stride(every), reach(farthest) {
+    std::vector<Eigen::Vector3f> centers;
+    for (std::uint32_t piece = 0; piece < pieces.cells.size(); ++piece) {
+      for (std::size_t k = 0; k < pieces.cells[piece].size(); k += stride) {
+        places.push_back({piece, pieces.cells[piece][k]});
+        centers.push_back(cells.centers[places.back().cell]);
+      }
+    }
+    constexpr float kGridShare = 0.35F;  // of the reach: balls made of small cells are round
+    grid.emplace(centers, kGridShare * reach);
   }
+
+  std::size_t stride;
+  float reach;  // [m] of the queries
+  std::vector<Place> places;
+  std::optional<NeighborGrid> grid;
+};
+
+/// Links pieces that lie in each other's continuation: dear over gaps, and dearer round bends.
+std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& pieces, float reach) {
+  constexpr float kGapScale = 0.06F;   // [m] of gap that costs 1
+  constexpr float kBendScale = 0.26F;  // [rad] standard deviation of a bend
+  constexpr float kAside = 0.006F;     // [m] about half a cell: sideways steps that are no bend
+  constexpr float kMostCost = 12.0F;
+  // Across wide gaps one cell in a few tells enough.
+  constexpr std::size_t kFarStride = 3U;
+  const PlacesOfPieces all(cells, pieces, 1U, kNearReach);
+  const PlacesOfPieces few(cells, pieces, kFarStride, reach);
   std::vector<std::vector<Link>> links(pieces.cells.size());
-  if (centers.empty()) return links;
-  constexpr float kGridShare = 0.35F;  // of the reach: balls made of small cells are round
-  const NeighborGrid grid(centers, kGridShare * reach);
   std::vector<float> least(pieces.cells.size(), kMostCost);
   // [m^2] beyond which a gap alone costs more than the least so far; 0 for pieces that are done.
   const auto squaredGap = [](float cost) { return cost * kGapScale * cost * kGapScale; };
   std::vector<float> farthest(pieces.cells.size(), squaredGap(kMostCost));
   std::vector<std::uint32_t> touched;
-  std::vector<std::pair<std::uint32_t, float>> near(centers.size() + 1U);  // place, squared gap
+  std::vector<std::pair<std::uint32_t, float>> near(all.places.size() + 1U);  // place, squared gap
+  const auto compare = [&](const PlacesOfPieces& among, std::uint32_t a) {
+    const Eigen::Vector3f& center = cells.centers[a];
+    const Eigen::Vector3f& direction = cells.shapes[a].direction;
+    // Gathered first, without a branch per cell, since most are of no use.
+    std::size_t count = 0U;
+    const float farthest_squared = among.reach * among.reach;
+    among.grid->forEachNearBox(
+        center, center, among.reach, [&](std::uint32_t k, const Eigen::Vector3f& at) {
+          const float squared = (at - center).squaredNorm();
+          near[count] = {k, squared};
+          count += static_cast<std::size_t>(
+              static_cast<unsigned>(squared <= farthest_squared) &
+              static_cast<unsigned>(squared < farthest[among.places[k].piece]));
+        });
+    for (std::size_t j = 0; j < count; ++j) {
+      const auto [k, squared] = near[j];
+      const auto [other, b] = among.places[k];
+      if (squared >= farthest[other]) continue;
+      // What is cheap to know first, since few pairs are better than the best so far.
+      const float gap = std::sqrt(squared);
+      const float gap_cost = gap / kGapScale;
+      const Eigen::Vector3f& onward = cells.shapes[b].direction;
+      const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
+      constexpr float kPerBend = 0.5F / (kBendScale * kBendScale);
+      if (gap_cost + kPerBend * whole >= least[other]) continue;
+      const Eigen::Vector3f step = cells.centers[b] - center;
+      // Squares of angles, nearly: 2 - 2 cos.
+      const auto bend = [&, squared = squared](const Eigen::Vector3f& along) {
+        const float ahead = std::abs(step.dot(along));
+        const float aside = std::sqrt(std::max(0.0F, squared - ahead * ahead)) - kAside;
+        return aside > 0.0F ? 2.0F - 2.0F * ahead / std::sqrt(ahead * ahead + aside * aside) : 0.0F;
+      };
+      const float cost = gap_cost + kPerBend * (bend(direction) + bend(onward) + whole);
+      if (cost >= least[other]) continue;
+      if (gap > kNearReach && (cells.is_low[a] | cells.is_low[b]) != 0) continue;
+      if (least[other] == kMostCost) touched.push_back(other);
+      least[other] = cost;
+      farthest[other] = squaredGap(cost);
+    }
+  };
   for (std::size_t piece = 0; piece < pieces.cells.size(); ++piece) {
     touched.clear();
     farthest[piece] = 0.0F;
-    for (const std::uint32_t a : pieces.cells[piece]) {
-      const Eigen::Vector3f& direction = cells.shapes[a].direction;
-      // Gathered first, without a branch per cell, since most are of no use.
-      std::size_t count = 0U;
-      grid.forEachNearBox(cells.centers[a], cells.centers[a], reach,
-                          [&](std::uint32_t k, const Eigen::Vector3f& at) {
-                            const float squared = (at - cells.centers[a]).squaredNorm();
-                            near[count] = {k, squared};
-                            count += static_cast<std::size_t>(
-                                static_cast<unsigned>(squared <= reach * reach) &
-                                static_cast<unsigned>(squared < farthest[places[k].piece]));
-                          });
-      for (std::size_t j = 0; j < count; ++j) {
-        const auto [k, squared] = near[j];
-        const std::uint32_t other = places[k].piece;
-        if (squared >= farthest[other]) continue;
-        const std::uint32_t b = places[k].cell;
-        // What is cheap to know first, since few pairs are better than the best so far.
-        const float gap = std::sqrt(squared);
-        const float gap_cost = gap / kGapScale;
-        const Eigen::Vector3f& onward = cells.shapes[b].direction;
-        const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
-        constexpr float kPerBend = 0.5F / (kBendScale * kBendScale);
-        if (gap_cost + kPerBend * whole >= least[other]) continue;
-        const Eigen::Vector3f step = cells.centers[b] - cells.centers[a];
-        // Squares of angles, nearly: 2 - 2 cos.
-        const auto bend = [&, squared = squared](const Eigen::Vector3f& along) {
-          const float ahead = std::abs(step.dot(along));
-          const float aside = std::sqrt(std::max(0.0F, squared - ahead * ahead)) - kAside;
-          return aside > 0.0F ? 2.0F - 2.0F * ahead / std::sqrt(ahead * ahead + aside * aside)
-                              : 0.0F;
-        };
-        const float cost = gap_cost + kPerBend * (bend(direction) + bend(onward) + whole);
-        if (cost >= least[other]) continue;
-        if (gap > kNearReach && (cells.is_low[a] | cells.is_low[b]) != 0) continue;
-        if (least[other] == kMostCost) touched.push_back(other);
-        least[other] = cost;
-        farthest[other] = squaredGap(cost);
-      }
-    }
+    const std::vector<std::uint32_t>& members = pieces.cells[piece];
+    for (const std::uint32_t a : members) compare(all, a);
+    for (std::size_t k = 0; k < members.size(); k += few.stride) compare(few, members[k]);
     for (const std::uint32_t other : touched) {
       links[piece].push_back({other, least[other]});
       links[other].push_back({static_cast<std::uint32_t>(piece), least[other]});
