@@ -19,11 +19,10 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kCell = 0.015F;        // [m] points this close are one cell
-constexpr float kShapeRadius = 0.05F;  // [m] neighbourhood that shows which way an organ runs
-constexpr float kTouch = 0.03F;        // [m] cells this close touch
-constexpr float kNearReach = 0.04F;    // [m] steps within one organ
-constexpr float kWeedHeight = 0.25F;   // [m] below it an organ must touch its plant
+constexpr float kCell = 0.015F;       // [m] points this close are one cell
+constexpr float kTouch = 0.03F;       // [m] cells this close touch
+constexpr float kNearReach = 0.04F;   // [m] steps within one organ
+constexpr float kWeedHeight = 0.25F;  // [m] below it an organ must touch its plant
 
 /// Points gathered into cells: far fewer than points, and of even density.
 struct Cells {
@@ -33,11 +32,12 @@ struct Cells {
   std::vector<std::uint8_t> is_stem;
   std::vector<std::uint8_t> is_low;  // where weeds grow
   std::vector<LocalShape> shapes;
+  float shape_radius = 0.0F;  // [m] neighbourhood that shows which way an organ runs
 
   std::uint32_t size() const { return static_cast<std::uint32_t>(centers.size()); }
 };
 
-Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner) {
+Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner, float shape_radius) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   Eigen::Array3f low = points.front().array();
   for (const Eigen::Vector3f& p : points) low = low.min(p.array());
@@ -52,6 +52,7 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner) {
   std::sort(order.begin(), order.end());
 
   Cells cells;
+  cells.shape_radius = shape_radius;
   cells.of_point.resize(points.size());
   std::vector<float> counts;
   for (std::size_t k = 0; k < order.size(); ++k) {
@@ -76,8 +77,8 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner) {
   for (std::size_t n = 0; n < cells.size(); ++n) {
     if (cells.is_stem[n] == 0U) organs.push_back(cells.centers[n]);
   }
-  const NeighborGrid grid(organs, 0.5F * kShapeRadius);
-  const std::vector<LocalShape> shapes = computeLocalShapes(organs, grid, kShapeRadius);
+  const NeighborGrid grid(organs, 0.5F * shape_radius);
+  const std::vector<LocalShape> shapes = computeLocalShapes(organs, grid, shape_radius);
   LocalShape upright;
   upright.linearity = 1.0F;
   cells.shapes.assign(cells.size(), upright);
@@ -107,7 +108,7 @@ std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const NeighborGrid
   constexpr float kAlike = 0.94F;    // cosine of the largest bend from cell to cell
   constexpr float kOffset = 0.005F;  // [m] out of the ribbon
   // Noise thickens all leaves alike.
-  const float thickness = noise / kShapeRadius;
+  const float thickness = noise / cells.shape_radius;
   const float most_curvature = kMostCurvature + kNoiseCurvature * thickness * thickness;
   std::vector<std::uint8_t> smooth(cells.size());
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
@@ -163,16 +164,17 @@ struct Ribbon {
 
 /// Cells round a place, tagged with their pieces.
 void gatherAround(const NeighborGrid& grid, const std::vector<std::int32_t>& piece_of,
-                  const Eigen::Vector3f& place, Neighborhood& around) {
+                  const Eigen::Vector3f& place, float radius, Neighborhood& around) {
   around.clear();
-  grid.forEachNearBox(place, place, kShapeRadius, [&](std::uint32_t n, const Eigen::Vector3f& at) {
+  grid.forEachNearBox(place, place, radius, [&](std::uint32_t n, const Eigen::Vector3f& at) {
     if (piece_of[n] >= 0) around.add(at, piece_of[n]);
   });
   around.close();
 }
 
-Ribbon fitRibbon(const Neighborhood& around, const Eigen::Vector3f& place, std::int32_t piece) {
-  const Moments moments = around.momentsAbout(place, kShapeRadius, piece);
+Ribbon fitRibbon(const Neighborhood& around, const Eigen::Vector3f& place, float radius,
+                 std::int32_t piece) {
+  const Moments moments = around.momentsAbout(place, radius, piece);
   Ribbon ribbon;
   constexpr float kLeastCells = 4.0F;
   if (moments.count < kLeastCells) return ribbon;
@@ -222,11 +224,11 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
           touching.push_back(piece);
         }
       });
-      gatherAround(grid, piece_of, cells.centers[n], around);
+      gatherAround(grid, piece_of, cells.centers[n], cells.shape_radius, around);
       float least = kOffset;
       std::int32_t best = -1;
       for (const std::int32_t piece : touching) {
-        const Ribbon ribbon = fitRibbon(around, cells.centers[n], piece);
+        const Ribbon ribbon = fitRibbon(around, cells.centers[n], cells.shape_radius, piece);
         if (!ribbon.known) continue;
         const Eigen::Vector3f offset = cells.centers[n] - ribbon.mean;
         const float out = std::abs(offset.dot(ribbon.normal));
@@ -245,7 +247,7 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
 
 /// Pieces of leaves; their cells get the shape of the piece alone.
 Pieces findPieces(Cells& cells, float noise) {
-  const NeighborGrid grid(cells.centers, 0.5F * kShapeRadius);
+  const NeighborGrid grid(cells.centers, 0.5F * cells.shape_radius);
   Pieces pieces;
   pieces.of_cell = joinSmoothCells(cells, grid, noise);
   growPieces(cells, grid, pieces.of_cell);
@@ -257,8 +259,8 @@ Pieces findPieces(Cells& cells, float noise) {
       pieces.cells.resize(static_cast<std::size_t>(piece) + 1U);
     }
     pieces.cells[static_cast<std::size_t>(piece)].push_back(n);
-    gatherAround(grid, pieces.of_cell, cells.centers[n], around);
-    const Ribbon ribbon = fitRibbon(around, cells.centers[n], piece);
+    gatherAround(grid, pieces.of_cell, cells.centers[n], cells.shape_radius, around);
+    const Ribbon ribbon = fitRibbon(around, cells.centers[n], cells.shape_radius, piece);
     if (!ribbon.known) continue;
     cells.shapes[n].direction = ribbon.direction;
     cells.shapes[n].normal = ribbon.normal;
@@ -705,6 +707,15 @@ void growPaths(Cells& cells, const std::vector<StemAxis>& axes, const LeafForm& 
   }
 }
 
+/// Neighbourhood that shows which way an organ runs [m]: wider where noise thickens it.
+float shapeRadius(float noise) {
+  constexpr float kNarrow = 0.05F;  // [m]
+  constexpr float kWide = 0.07F;    // [m]
+  constexpr float kClear = 0.003F;  // [m] noise that hides no form
+  constexpr float kPerNoise = 5.0F;
+  return std::clamp(kNarrow + kPerNoise * (noise - kClear), kNarrow, kWide);
+}
+
 /// Standard deviation of the points across a surface [m], which the stems show.
 float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
               const std::vector<std::int32_t>& owner) {
@@ -726,8 +737,9 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
                                        const SegmentationParameters& parameters) {
   if (block.cloud.empty()) return owner;
   const auto reach = static_cast<float>(parameters.organ_reach);
-  Cells cells = gatherCells(block, owner);
-  const Pieces pieces = findPieces(cells, noiseOf(block, axes, owner));
+  const float noise = noiseOf(block, axes, owner);
+  Cells cells = gatherCells(block, owner, shapeRadius(noise));
+  const Pieces pieces = findPieces(cells, noise);
   const std::vector<std::vector<Link>> links = linkPieces(cells, pieces, 1.6F * reach);
   // First with leaves as they usually are, then with what that shows of these ones.
   constexpr float kLooseWeight = 5.0F;
