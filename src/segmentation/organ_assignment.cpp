@@ -162,12 +162,15 @@ struct Ribbon {
   float spread = 0.0F;  // [m] standard deviation of its width
 };
 
-/// Cells round a place, tagged with their pieces.
+/// Cells round a place, tagged with their pieces; calls visit(piece, center) for each.
+template <class Visit>
 void gatherAround(const NeighborGrid& grid, const std::vector<std::int32_t>& piece_of,
-                  const Eigen::Vector3f& place, float radius, Neighborhood& around) {
+                  const Eigen::Vector3f& place, float radius, Neighborhood& around, Visit&& visit) {
   around.clear();
   grid.forEachNearBox(place, place, radius, [&](std::uint32_t n, const Eigen::Vector3f& at) {
-    if (piece_of[n] >= 0) around.add(at, piece_of[n]);
+    if (piece_of[n] < 0) return;
+    around.add(at, piece_of[n]);
+    visit(piece_of[n], at);
   });
   around.close();
 }
@@ -217,14 +220,15 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
     std::vector<std::pair<std::uint32_t, std::int32_t>> grown;
     for (const std::uint32_t n : front) {
       listed[n] = 0U;
+      const Eigen::Vector3f& center = cells.centers[n];
       touching.clear();
-      grid.forEachWithin(cells.centers[n], kTouch, [&](std::uint32_t next, float) {
-        const std::int32_t piece = piece_of[next];
-        if (piece >= 0 && std::find(touching.begin(), touching.end(), piece) == touching.end()) {
-          touching.push_back(piece);
-        }
-      });
-      gatherAround(grid, piece_of, cells.centers[n], cells.shape_radius, around);
+      gatherAround(grid, piece_of, center, cells.shape_radius, around,
+                   [&](std::int32_t piece, const Eigen::Vector3f& at) {
+                     if ((at - center).squaredNorm() <= kTouch * kTouch &&
+                         std::find(touching.begin(), touching.end(), piece) == touching.end()) {
+                       touching.push_back(piece);
+                     }
+                   });
       float least = kOffset;
       std::int32_t best = -1;
       for (const std::int32_t piece : touching) {
@@ -259,7 +263,8 @@ Pieces findPieces(Cells& cells, float noise) {
       pieces.cells.resize(static_cast<std::size_t>(piece) + 1U);
     }
     pieces.cells[static_cast<std::size_t>(piece)].push_back(n);
-    gatherAround(grid, pieces.of_cell, cells.centers[n], cells.shape_radius, around);
+    gatherAround(grid, pieces.of_cell, cells.centers[n], cells.shape_radius, around,
+                 [](std::int32_t, const Eigen::Vector3f&) {});
     const Ribbon ribbon = fitRibbon(around, cells.centers[n], cells.shape_radius, piece);
     if (!ribbon.known) continue;
     cells.shapes[n].direction = ribbon.direction;
