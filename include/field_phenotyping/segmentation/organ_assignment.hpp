@@ -15,6 +15,7 @@ namespace field_phenotyping {
 /// piece goes to one plant as a whole: to the one that gets at it, from the stem or through pieces
 /// that it continues, with the fewest and straightest gaps and through the best fitting pieces.
 /// What fits is learnt from the block: leaves point at their stem, rise from it, flatten and droop.
+/// A piece counts by how much worse it fits one plant than the one that it fits best.
 /// What is no piece follows along shortest paths over the cloud.
 ///
 /// Pure function; time grows with the number of points. All lengths in metres, in the local frame
