@@ -8,11 +8,13 @@
 #include <set>
 #include <utility>
 
+#include "field_phenotyping/common/neighbor_grid.hpp"
+
 namespace field_phenotyping {
 namespace {
 
 constexpr float kCandidateCell = 0.1F;   // [m] one lowest point is taken from each such cell
-constexpr float kMinRoughness = 0.008F;  // [m] soil is never smoother than a sensor sees it
+constexpr float kMinRoughness = 0.002F;  // [m] soil is never smoother than a sensor sees it
 constexpr float kRidgeHeight = 0.15F;    // [m] the local soil stays this near to the block's plane
 constexpr int kMinNodePoints = 6;
 
@@ -317,11 +319,32 @@ std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundMo
                                          const PreprocessingParameters& parameters) {
   std::vector<std::uint8_t> is_ground(cloud.size(), 0U);
   if (!ground.observed()) return is_ground;
+  // 1. What lies lower than clods and the model's own error reach is soil...
+  constexpr float kUsualRoughness = 0.008F;  // [m] at least, of soil that looks smooth here
   const auto most = static_cast<float>(parameters.ground_distance);
+  std::vector<Eigen::Vector3f> feet;     // of what stands on it, seen from above
+  std::vector<std::uint32_t> uncertain;  // soil, unless it is such a foot too
   for (std::size_t i = 0; i < cloud.size(); ++i) {
     const Eigen::Vector3f& p = cloud.points[i];
     const float roughness = ground.stddevAt(p.x(), p.y());
-    is_ground[i] = ground.heightAbove(p) <= std::min(most, 3.0F * roughness) ? 1U : 0U;
+    const float height = ground.heightAbove(p);
+    const float highest = std::min(most, 3.0F * std::max(roughness, kUsualRoughness));
+    constexpr float kFoot = 0.05F;     // [m] of what stands there, above the soil's points
+    constexpr float kSureSoil = 2.5F;  // standard deviations
+    if (height > highest) {
+      if (height < highest + kFoot) feet.emplace_back(p.x(), p.y(), 0.0F);
+      continue;
+    }
+    is_ground[i] = 1U;
+    if (height > kSureSoil * roughness) uncertain.push_back(static_cast<std::uint32_t>(i));
+  }
+  // 2. ...but for the feet of what stands on it.
+  constexpr float kReach = 0.012F;      // [m] of a foot about what stands on it
+  constexpr std::uint32_t kLeast = 2U;  // points that stand on it
+  const NeighborGrid grid(feet, kReach);
+  for (const std::uint32_t i : uncertain) {
+    const Eigen::Vector3f& p = cloud.points[i];
+    if (grid.hasWithin({p.x(), p.y(), 0.0F}, kReach, kLeast)) is_ground[i] = 0U;
   }
   return is_ground;
 }
