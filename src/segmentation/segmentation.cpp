@@ -122,6 +122,17 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
   });
 }
 
+/// Fits the midlines anew to the stems alone, whose ends are known now: the leaves above a short
+/// stem are many, and bend its axis their way.
+void refitMidlines(const GrowthScene& scene, float max_radius, float plant_height,
+                   std::vector<GrownStem>& stems) {
+  parallelFor(stems.size(), [&](std::size_t s) {
+    const StemAxis prior = stems[s].midline.axis;
+    stems[s].midline = fitMidline(scene.points, pointsAround(scene, prior, kAround * max_radius),
+                                  prior, max_radius, plant_height);
+  });
+}
+
 /// What grows from every candidate; candidates that nothing grows from are left out.
 std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
                                       const GroundModel& ground, float plant_height,
@@ -332,7 +343,9 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     return low_a.x() != low_b.x() ? low_a.x() < low_b.x() : low_a.y() < low_b.y();
   });
 
-  poolEnds(scene, static_cast<float>(parameters.max_stem_radius), plant_height, stems);
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  poolEnds(scene, max_radius, plant_height, stems);
+  refitMidlines(scene, max_radius, plant_height, stems);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
   const float max_gap = longestGap(stems);
