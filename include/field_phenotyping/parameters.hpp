@@ -101,7 +101,7 @@ struct SegmentationParameters {
   int max_growth_steps = 200;
   double quality_target = 0.7;
   int max_growth_cycles = 4;
-  double seed_min_height = 0.01;
+  double seed_min_height = 0.04;
   double seed_max_height = 1.2;
   double seed_slab = 0.05;
   double seed_radius = 0.04;

@@ -122,12 +122,14 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
   });
 }
 
-/// Fits the midlines anew to the stems alone, whose ends are known now: the leaves above a short
-/// stem are many, and bend its axis their way.
-void refitMidlines(const GrowthScene& scene, float max_radius, float plant_height,
-                   std::vector<GrownStem>& stems) {
+/// Fits the midlines of short stems anew, now that it is known where they end: the leaves above are
+/// many, and bend the axis their way.
+void refitShort(const GrowthScene& scene, float max_radius, float plant_height,
+                std::vector<GrownStem>& stems) {
+  constexpr float kShort = 0.55F;  // of the plant's height
   parallelFor(stems.size(), [&](std::size_t s) {
     const StemAxis prior = stems[s].midline.axis;
+    if (prior.length() > kShort * plant_height) return;
     stems[s].midline = fitMidline(scene.points, pointsAround(scene, prior, kAround * max_radius),
                                   prior, max_radius, plant_height);
   });
@@ -303,17 +305,26 @@ SegmentationParameters adaptToDensity(const std::vector<Eigen::Vector3f>& points
   return parameters;
 }
 
+/// Looks for the stems of low plants from nearer to the soil: leaves begin right above it there.
+SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters parameters) {
+  constexpr double kLowest = 0.03;  // of the plants' height
+  parameters.seed_min_height =
+      std::min(parameters.seed_min_height, kLowest * static_cast<double>(plant_height));
+  return parameters;
+}
+
 }  // namespace
 
 SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wanted) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   if (points.empty()) return assemble(block, {}, {}, {});
-  const SegmentationParameters parameters = adaptToDensity(points, wanted);
+  SegmentationParameters parameters = adaptToDensity(points, wanted);
   const auto radius = static_cast<float>(parameters.seed_radius);
   const NeighborGrid grid(points, 0.5F * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);
   const GrowthScene scene{points, shapes, grid};
   const float plant_height = canopyHeight(scene, block.ground);
+  parameters = adaptToHeight(plant_height, parameters);
   const StemSelection selection(block, grid, parameters);
 
   // Step 1: start points. What grows from them shows which are stems', and those how the stand
@@ -345,7 +356,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
 
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   poolEnds(scene, max_radius, plant_height, stems);
-  refitMidlines(scene, max_radius, plant_height, stems);
+  refitShort(scene, max_radius, plant_height, stems);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
   const float max_gap = longestGap(stems);

@@ -47,7 +47,7 @@ StandLength StandLength::scaledBy(double factor) const {
 }
 
 StandFit fitStandLength(const std::vector<double>& shown, double relative_spread) {
-  constexpr std::size_t kLeastStems = 4U;
+  constexpr std::size_t kLeastStems = 5U;
   constexpr double kStrange = 0.03;  // share of stems that are nothing of the kind
   constexpr double kLowest = 0.5;    // of the median shown
   constexpr double kHighest = 1.15;
