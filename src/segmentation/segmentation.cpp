@@ -122,14 +122,14 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
   });
 }
 
-/// Fits the midlines of short stems anew, now that it is known where they end: the leaves above are
-/// many, and bend the axis their way.
-void refitShort(const GrowthScene& scene, float max_radius, float plant_height,
-                std::vector<GrownStem>& stems) {
-  constexpr float kShort = 0.55F;  // of the plant's height
+/// Fits the midlines of seedlings anew, now that it is known where they end: the leaves above are
+/// many, and bend the axes their way.
+void refitSeedlings(const GrowthScene& scene, float max_radius, float plant_height,
+                    std::vector<GrownStem>& stems) {
+  constexpr float kSeedling = 0.7F;  // [m] lower than any whose stem has grown out of its whorl
+  if (plant_height > kSeedling) return;
   parallelFor(stems.size(), [&](std::size_t s) {
     const StemAxis prior = stems[s].midline.axis;
-    if (prior.length() > kShort * plant_height) return;
     stems[s].midline = fitMidline(scene.points, pointsAround(scene, prior, kAround * max_radius),
                                   prior, max_radius, plant_height);
   });
@@ -356,7 +356,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
 
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   poolEnds(scene, max_radius, plant_height, stems);
-  refitShort(scene, max_radius, plant_height, stems);
+  refitSeedlings(scene, max_radius, plant_height, stems);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
   const float max_gap = longestGap(stems);
