@@ -122,19 +122,6 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
   });
 }
 
-/// Fits the midlines of seedlings anew, now that it is known where they end: the leaves above are
-/// many, and bend the axes their way.
-void refitSeedlings(const GrowthScene& scene, float max_radius, float plant_height,
-                    std::vector<GrownStem>& stems) {
-  constexpr float kSeedling = 0.7F;  // [m] lower than any whose stem has grown out of its whorl
-  if (plant_height > kSeedling) return;
-  parallelFor(stems.size(), [&](std::size_t s) {
-    const StemAxis prior = stems[s].midline.axis;
-    stems[s].midline = fitMidline(scene.points, pointsAround(scene, prior, kAround * max_radius),
-                                  prior, max_radius, plant_height);
-  });
-}
-
 /// What grows from every candidate; candidates that nothing grows from are left out.
 std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
                                       const GroundModel& ground, float plant_height,
@@ -159,6 +146,25 @@ std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<Gro
     stems.push_back(std::move(grown[k]));
   }
   return stems;
+}
+
+/// Fits the midlines of seedlings anew, now that it is known where they end: the leaves above are
+/// many, and bend the axes their way. Two that come to one stem are one.
+std::vector<GrownStem> refitSeedlings(const GrowthScene& scene, const StemSelection& selection,
+                                      float plant_height, std::vector<GrownStem> stems,
+                                      const SegmentationParameters& parameters) {
+  constexpr float kSeedling = 0.7F;  // [m] lower than any whose stem has grown out of its whorl
+  if (plant_height > kSeedling) return stems;
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  parallelFor(stems.size(), [&](std::size_t s) {
+    const StemAxis prior = stems[s].midline.axis;
+    stems[s] =
+        growCandidate(scene,
+                      fitMidline(scene.points, pointsAround(scene, prior, kAround * max_radius),
+                                 prior, max_radius, plant_height),
+                      parameters);
+  });
+  return onlyStems(selection, std::move(stems));
 }
 
 std::vector<StemAxis> axesOf(const std::vector<GrownStem>& stems) {
@@ -354,9 +360,8 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     return low_a.x() != low_b.x() ? low_a.x() < low_b.x() : low_a.y() < low_b.y();
   });
 
-  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
-  poolEnds(scene, max_radius, plant_height, stems);
-  refitSeedlings(scene, max_radius, plant_height, stems);
+  poolEnds(scene, static_cast<float>(parameters.max_stem_radius), plant_height, stems);
+  stems = refitSeedlings(scene, selection, plant_height, std::move(stems), parameters);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
   const float max_gap = longestGap(stems);
