@@ -25,8 +25,9 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kAround = 2.5F;  // max_radius: points this near may tell of a stem
-constexpr float kBeyond = 0.2F;  // of the plant's height, that a stem may go on above its end
+constexpr float kAround = 2.5F;    // max_radius: points this near may tell of a stem
+constexpr float kBeyond = 0.2F;    // of the plant's height, that a stem may go on above its end
+constexpr float kSeedling = 0.7F;  // [m] lower than plants whose stems have grown out of the whorl
 
 /// The axis prior that the start points give, carried down to the soil.
 StemAxis axisFromSeeds(const StemSeeds& seeds, const GroundModel& ground, float radius) {
@@ -153,7 +154,6 @@ std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<Gro
 std::vector<GrownStem> refitSeedlings(const GrowthScene& scene, const StemSelection& selection,
                                       float plant_height, std::vector<GrownStem> stems,
                                       const SegmentationParameters& parameters) {
-  constexpr float kSeedling = 0.7F;  // [m] lower than any whose stem has grown out of its whorl
   if (plant_height > kSeedling) return stems;
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   parallelFor(stems.size(), [&](std::size_t s) {
@@ -171,6 +171,32 @@ std::vector<StemAxis> axesOf(const std::vector<GrownStem>& stems) {
   std::vector<StemAxis> axes;
   for (const GrownStem& stem : stems) axes.push_back(stem.midline.axis);
   return axes;
+}
+
+/// Draws the slopes of seedlings' axes towards what the stand's lean makes likely. Few points show
+/// the upper half of so short a stem, and many leaves there pull it their way; its foot stands.
+void steadySeedlings(float plant_height, std::vector<GrownStem>& stems) {
+  if (plant_height > kSeedling) return;
+  const StandLean lean = leanOf(axesOf(stems));
+  if (!(lean.scatter > 0.0F)) return;
+  constexpr float kPull = 0.006F;          // [m] by which leaves move the upper end
+  constexpr float kLeastScatter = 0.015F;  // of the true slopes
+  constexpr float kFoot = 0.2F;            // of the length
+  for (GrownStem& stem : stems) {
+    const StemAxis& axis = stem.midline.axis;
+    const Eigen::Vector3f chord = axis.nodes().back().position - axis.nodes().front().position;
+    const float error = kPull / chord.z();
+    const float scatter =
+        std::max(lean.scatter * lean.scatter - error * error, kLeastScatter * kLeastScatter);
+    const float share = error * error / (scatter + error * error);
+    const Eigen::Vector2f change = share * (lean.slope - chord.head<2>() / chord.z());
+    const float foot = axis.nodes().front().position.z() + kFoot * chord.z();
+    std::vector<StemAxis::Node> nodes = axis.nodes();
+    for (StemAxis::Node& node : nodes) {
+      node.position.head<2>() += (node.position.z() - foot) * change;
+    }
+    stem.midline.axis = StemAxis(std::move(nodes));
+  }
 }
 
 /// Carries candidates whose foot is hidden down to the soil anew.
@@ -362,6 +388,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
 
   poolEnds(scene, static_cast<float>(parameters.max_stem_radius), plant_height, stems);
   stems = refitSeedlings(scene, selection, plant_height, std::move(stems), parameters);
+  steadySeedlings(plant_height, stems);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
   const float max_gap = longestGap(stems);
