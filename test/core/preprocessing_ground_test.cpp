@@ -188,6 +188,35 @@ TEST(Ground, RoughSoil) {
   EXPECT_NEAR(ground.stddevAt(0.0F, 0.0F), 0.010F, 0.004F) << "the roughness is reported";
 }
 
+TEST(Ground, AFootBelongsToWhatStandsOnIt) {
+  Scene scene(testing::levelSoil(), 11U);
+  scene.addSoil(kLow, kHigh, kDensity);
+  PlantTruth seedling;
+  seedling.stem_length = 0.16;
+  seedling.radius = 0.004;
+  seedling.leaves = 0;
+  for (const double x : {-1.0, -0.5, 0.0, 0.5, 1.0}) {
+    seedling.base = {x, 0.1};
+    scene.addPlant(seedling);
+  }
+  const PreprocessingParameters parameters;
+  const GroundModel ground = estimateGround(scene.cloud, parameters);
+  const auto is_ground = classifyGround(scene.cloud, ground, parameters);
+  double foot = 0.0, foot_kept = 0.0, soil = 0.0, soil_found = 0.0;
+  for (std::size_t i = 0; i < scene.cloud.size(); ++i) {
+    if (scene.truth[i].soil) {
+      soil += 1.0;
+      soil_found += is_ground[i];
+    } else if (scene.cloud.points[i].z() > 0.012F && scene.cloud.points[i].z() < 0.022F) {
+      foot += 1.0;
+      foot_kept += 1 - is_ground[i];
+    }
+  }
+  ASSERT_GT(foot, 50.0);
+  EXPECT_GT(foot_kept / foot, 0.95);
+  EXPECT_GT(soil_found / soil, 0.998) << "stones and clods alone are soil";
+}
+
 TEST(Ground, UnderWeeds) {
   const Soil soil = testing::slopingSoil(8.0, -40.0);
   Scene scene(soil, 5U);

@@ -19,7 +19,8 @@ namespace field_phenotyping {
 GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameters& parameters);
 
 /// Marks soil points (1): those nearer to the model than its own roughness explains, at most
-/// `ground_distance`. Nothing is soil where the model was not observed.
+/// `ground_distance`, but for the feet of what stands on it. Nothing is soil where the model was
+/// not observed.
 std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundModel& ground,
                                          const PreprocessingParameters& parameters);
 
