@@ -339,9 +339,10 @@ SegmentationParameters adaptToDensity(const std::vector<Eigen::Vector3f>& points
 
 /// Looks for the stems of low plants from nearer to the soil: leaves begin right above it there.
 SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters parameters) {
-  constexpr double kLowest = 0.03;  // of the plants' height
-  parameters.seed_min_height =
-      std::min(parameters.seed_min_height, kLowest * static_cast<double>(plant_height));
+  constexpr double kShare = 0.03;   // of the plants' height
+  constexpr double kLowest = 0.01;  // [m] below it soil is left
+  parameters.seed_min_height = std::min(
+      parameters.seed_min_height, std::max(kShare * static_cast<double>(plant_height), kLowest));
   return parameters;
 }
 
