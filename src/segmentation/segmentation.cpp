@@ -341,6 +341,8 @@ SegmentationParameters adaptToDensity(const std::vector<Eigen::Vector3f>& points
 SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters parameters) {
   constexpr double kShare = 0.03;   // of the plants' height
   constexpr double kLowest = 0.01;  // [m] below it soil is left
+  constexpr float kWeeds = 0.20F;   // [m] what is lower looks like weeds from nearer
+  if (plant_height < kWeeds) return parameters;
   parameters.seed_min_height = std::min(
       parameters.seed_min_height, std::max(kShare * static_cast<double>(plant_height), kLowest));
   return parameters;
