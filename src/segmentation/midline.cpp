@@ -7,9 +7,11 @@
 #include <cstdint>
 #include <limits>
 #include <numeric>
+#include <optional>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/segmentation/stem_curve.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -29,7 +31,7 @@ struct Scale {
   double share_band;  ///< [m] with a share of stem points of its own
   double stretch;     ///< [m] that a fit begins with
   double extension;   ///< [m] that it goes on by
-  bool young;         ///< leaves rise as steeply as the stem and reach far above it
+  bool young;
 
   Scale(float max_radius, float plant_height) {
     constexpr double kFull = 1.2;      // [m] plants as high as this show stems a full step long
@@ -44,77 +46,7 @@ struct Scale {
     share_band = 0.10 * size;
     stretch = 0.40 * size;
     extension = 0.10 * size;
-    constexpr double kYoung = 1.4;  // [m] lower than any with a tassel
-    young = height < kYoung;
-  }
-};
-
-/// A point in the prior's own frame: height along its chord, offset across it.
-struct Sample {
-  double height = 0.0;
-  Eigen::Vector2d offset = Eigen::Vector2d::Zero();
-  // Of placeOn(): fits look at a sample often, and it keeps its place between the nodes.
-  double share = 0.0;       ///< of the upper node
-  std::uint32_t node = 0U;  ///< the lower one
-  std::uint32_t band = 0U;
-};
-
-/// The chord of a rough axis with a basis across it.
-struct ChordFrame {
-  Eigen::Vector3d origin, u, v, w;
-  double length;
-
-  explicit ChordFrame(const StemAxis& prior)
-      : origin(prior.nodes().front().position.cast<double>()),
-        w(prior.nodes().back().position.cast<double>() - origin),
-        length(w.norm()) {
-    w /= length;
-    u = (Eigen::Vector3d::UnitX() - w.x() * w).normalized();
-    v = w.cross(u);
-  }
-  Sample toFrame(const Eigen::Vector3f& point) const {
-    const Eigen::Vector3d away = point.cast<double>() - origin;
-    Sample sample;
-    sample.height = away.dot(w);
-    sample.offset = {away.dot(u), away.dot(v)};
-    return sample;
-  }
-  /// Offset of a plumb line per metre of height.
-  Eigen::Vector2d upright() const { return Eigen::Vector2d(u.z(), v.z()) / w.z(); }
-  Eigen::Vector3f fromFrame(double height, const Eigen::Vector2d& offset) const {
-    return (origin + height * w + offset.x() * u + offset.y() * v).cast<float>();
-  }
-};
-
-/// The stem as it is fitted: centres at even heights with straight lines between, and a radius that
-/// falls evenly with the height.
-struct StemCurve {
-  double spacing = 0.0;  ///< [m] of the centres
-  std::vector<Eigen::Vector2d> centers;
-  double radius = 0.0;  ///< at height 0
-  double taper = 0.0;   ///< of the radius per metre, <= 0
-
-  struct Place {
-    std::size_t node;  // the lower one
-    double share;      // of the upper one
-  };
-  Place placeOf(double height) const {
-    const double at = std::clamp(height / spacing, 0.0, static_cast<double>(centers.size() - 1U));
-    const auto node = std::min(static_cast<std::size_t>(at), centers.size() - 2U);
-    return {node, at - static_cast<double>(node)};
-  }
-  Eigen::Vector2d centerAt(double height) const { return centerAt(placeOf(height)); }
-  Eigen::Vector2d centerAt(const Place& at) const {
-    return (1.0 - at.share) * centers[at.node] + at.share * centers[at.node + 1U];
-  }
-  /// At the height of a sample that has been placed on this curve's nodes.
-  Eigen::Vector2d centerAt(const Sample& sample) const {
-    return centerAt(Place{sample.node, sample.share});
-  }
-  double length() const { return spacing * static_cast<double>(centers.size() - 1U); }
-  double radiusAt(double height) const {
-    constexpr double kThinnest = 0.25;  // of the radius at the base
-    return std::max(radius + taper * height, kThinnest * radius);
+    young = isYoung(plant_height);
   }
 };
 
@@ -134,81 +66,6 @@ void placeOn(const StemCurve& curve, const Scale& scale, std::vector<Sample>& sa
         static_cast<std::uint32_t>(std::clamp(sample.height / scale.share_band, 0.0, last));
   }
 }
-
-/// Samples by height, so that those of a stretch lie side by side.
-void sortByHeight(std::vector<Sample>& samples) {
-  std::sort(samples.begin(), samples.end(),
-            [](const Sample& a, const Sample& b) { return a.height < b.height; });
-}
-
-/// The normal equations of a curve: two unknowns per node, each tied to those of the next two nodes
-/// only, and radius and taper, tied to all. Solved in a time that grows as the nodes.
-class CurveEquations {
- public:
-  explicit CurveEquations(std::size_t nodes)
-      : lower_(2U * nodes, std::array<double, kBand + 1U>{}),
-        right_(2U * nodes, Eigen::Vector3d::Zero()) {}
-
-  /// Adds to the coefficient of two node unknowns, row >= column >= row - 4.
-  void add(std::size_t row, std::size_t column, double value) {
-    lower_[row][row - column] += value;
-  }
-  /// Adds to the right side and to the coefficients of radius and taper in a node's equation.
-  void addRight(std::size_t row, const Eigen::Vector3d& right_radius_taper) {
-    right_[row] += right_radius_taper;
-  }
-  void addRadius(const Eigen::Matrix2d& normal, const Eigen::Vector2d& right) {
-    radius_normal_ += normal;
-    radius_right_ += right;
-  }
-
-  /// The node unknowns, then radius and taper if wanted. Not finite where there is no solution.
-  Eigen::VectorXd solve(bool with_radius) && {
-    const std::size_t size = lower_.size();
-    const std::vector<Eigen::Vector3d> border = right_;
-    // Cholesky, row by row; the diagonal is kept inverted.
-    for (std::size_t i = 0; i < size; ++i) {
-      for (std::size_t column = i - std::min(i, kBand); column <= i; ++column) {
-        double rest = lower_[i][i - column];
-        for (std::size_t k = i - std::min(i, kBand); k < column; ++k) {
-          if (column - k <= kBand) rest -= lower_[i][i - k] * lower_[column][column - k];
-        }
-        lower_[i][i - column] = column < i ? rest * lower_[column][0] : 1.0 / std::sqrt(rest);
-      }
-      for (std::size_t k = i - std::min(i, kBand); k < i; ++k) {
-        right_[i] -= lower_[i][i - k] * right_[k];
-      }
-      right_[i] *= lower_[i][0];
-    }
-    for (std::size_t i = size; i-- > 0;) {
-      for (std::size_t k = i + 1U; k < std::min(i + kBand + 1U, size); ++k) {
-        right_[i] -= lower_[k][k - i] * right_[k];
-      }
-      right_[i] *= lower_[i][0];
-    }
-    Eigen::VectorXd solved(static_cast<Eigen::Index>(size + (with_radius ? 2U : 0U)));
-    Eigen::Vector2d radius = Eigen::Vector2d::Zero();
-    if (with_radius) {
-      for (std::size_t i = 0; i < size; ++i) {
-        radius_normal_ -= border[i].tail<2>() * right_[i].tail<2>().transpose();
-        radius_right_ -= border[i].tail<2>() * right_[i].x();
-      }
-      radius = radius_normal_.inverse() * radius_right_;
-      solved.tail<2>() = radius;
-    }
-    for (std::size_t i = 0; i < size; ++i) {
-      solved[static_cast<Eigen::Index>(i)] = right_[i].x() - right_[i].tail<2>().dot(radius);
-    }
-    return solved;
-  }
-
- private:
-  static constexpr std::size_t kBand = 4U;
-  std::vector<std::array<double, kBand + 1U>> lower_;  // of a row, from the diagonal leftwards
-  std::vector<Eigen::Vector3d> right_;                 // right side, radius, taper
-  Eigen::Matrix2d radius_normal_ = Eigen::Matrix2d::Zero();
-  Eigen::Vector2d radius_right_ = Eigen::Vector2d::Zero();
-};
 
 /// Expectation maximisation of a stem among clutter. Every height band has its own share of stem
 /// points, so that bands full of leaves, or without any stem, do not draw the curve. Only samples
@@ -636,23 +493,7 @@ class CurveFit {
       equations.addRadius(few * radius, few * cell.radius_target);
     }
 
-    // Bending: the slope wanders by kBend per square root of a metre.
-    const double bend = 1.0 / (kBend * kBend * std::pow(curve_.spacing, 3));
-    for (std::size_t i = 0; i + 4U < 2U * nodes; ++i) {
-      equations.add(i, i, bend);
-      equations.add(i + 2U, i + 2U, 4.0 * bend);
-      equations.add(i + 4U, i + 4U, bend);
-      equations.add(i + 2U, i, -2.0 * bend);
-      equations.add(i + 4U, i + 2U, -2.0 * bend);
-      equations.add(i + 4U, i, bend);
-    }
-    // Weak: nodes stay where they are, so that nothing is undetermined.
-    constexpr double kHold = 1.0 / (0.2 * 0.2);
-    for (std::size_t i = 0; i < 2U * nodes; ++i) {
-      equations.add(i, i, kHold);
-      const double held = curve_.centers[i / 2U][static_cast<Eigen::Index>(i % 2U)];
-      equations.addRight(i, {kHold * held, 0.0, 0.0});
-    }
+    equations.addBending(curve_);
     if (surface) {
       const double level = 1.0 / std::pow(kRadiusStddev * typical_radius_, 2);
       const double slope = 1.0 / std::pow(kTaperStddev * typical_radius_, 2);
@@ -675,7 +516,6 @@ class CurveFit {
   }
 
   static constexpr double kRadiusStddev = 0.25;  // of the typical radius
-  static constexpr double kBend = 0.05;          // [1/sqrt(m)]
 
   const std::vector<Sample>* samples_;
   StemCurve curve_;
@@ -865,24 +705,6 @@ void settle(Hypothesis& stem) {
   }
 }
 
-StemCurve curveAlong(const StemAxis& prior, const ChordFrame& frame, double spacing) {
-  constexpr double kMostNodes = 80.0;
-  StemCurve curve;
-  const double count = std::clamp(std::ceil(frame.length / spacing), 2.0, kMostNodes);
-  curve.spacing = frame.length / count;
-  for (std::size_t k = 0; k <= static_cast<std::size_t>(count); ++k) {
-    // Where the prior passes that height of the chord.
-    const double height = curve.spacing * static_cast<double>(k);
-    float s = static_cast<float>(height / frame.length) * prior.length();
-    for (int round = 0; round < 3; ++round) {
-      s += static_cast<float>(height - frame.toFrame(prior.pointAt(s)).height);
-    }
-    curve.centers.push_back(frame.toFrame(prior.pointAt(s)).offset);
-  }
-  curve.radius = static_cast<double>(prior.nodes().front().radius);
-  return curve;
-}
-
 }  // namespace
 
 Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
@@ -919,18 +741,9 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
   Hypothesis& stem = stems.size() > 1U && rooted(stems[1]) > rooted(stems[0]) ? stems[1] : stems[0];
   settle(stem);
 
-  std::vector<StemAxis::Node> nodes;
-  const StemCurve& curve = stem.fit.curve();
-  for (std::size_t k = 0; k < curve.centers.size(); ++k) {
-    const double height = curve.spacing * static_cast<double>(k);
-    const Eigen::Vector3f position = frame.fromFrame(height, curve.centers[k]);
-    constexpr float kLeastRise = 1e-3F;
-    if (!nodes.empty() && position.z() <= nodes.back().position.z() + kLeastRise) continue;
-    nodes.push_back({position, std::min(static_cast<float>(curve.radiusAt(height)),
-                                        static_cast<float>(scale.thickest))});
-  }
-  if (nodes.size() < 2U) return midline;
-  midline.axis = StemAxis(std::move(nodes));
+  std::optional<StemAxis> axis = axisOf(stem.fit.curve(), frame, scale.thickest);
+  if (!axis) return midline;
+  midline.axis = *std::move(axis);
   midline.spread = static_cast<float>(stem.spread);
   midline.evidence = static_cast<float>(stem.fit.evidence(stem.low, stem.high));
   return midline;

@@ -12,6 +12,7 @@
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
+#include "field_phenotyping/segmentation/midline_refinement.hpp"
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
@@ -120,6 +121,16 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
     if (!stands[s].known()) return;
     stems[s].midline =
         withLikelyEnd(scene, std::move(stems[s].midline), stands[s], max_radius, plant_height);
+  });
+}
+
+/// Where the stems' surfaces are, once their ends are about known.
+void refineMidlines(const GrowthScene& scene, float max_radius, float plant_height, double widened,
+                    std::vector<GrownStem>& stems) {
+  parallelFor(stems.size(), [&](std::size_t s) {
+    Midline& midline = stems[s].midline;
+    midline = refineMidline(scene.points, pointsAround(scene, midline.axis, kAround * max_radius),
+                            midline, plant_height, widened);
   });
 }
 
@@ -389,8 +400,13 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     return low_a.x() != low_b.x() ? low_a.x() < low_b.x() : low_a.y() < low_b.y();
   });
 
-  poolEnds(scene, static_cast<float>(parameters.max_stem_radius), plant_height, stems);
+  // Where their surfaces are and where they end: each shows the other.
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  constexpr double kWidened = 1.2;  // of a midline among leaves
+  refineMidlines(scene, max_radius, plant_height, kWidened, stems);
+  poolEnds(scene, max_radius, plant_height, stems);
   stems = refitSeedlings(scene, selection, plant_height, std::move(stems), parameters);
+  refineMidlines(scene, max_radius, plant_height, 1.0, stems);
   steadySeedlings(plant_height, stems);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.

@@ -13,6 +13,7 @@
 
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
+#include "field_phenotyping/segmentation/midline_refinement.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
@@ -651,6 +652,58 @@ TEST(Midline, SeedlingWhoseLeavesShowMoreThanItsStem) {
       EXPECT_LT(at.distance, 0.006F) << "seed " << seed << ", height " << z;
       EXPECT_LT(at.radius, 0.008F) << "seed " << seed << ", height " << z;
     }
+  }
+}
+
+/// A young stem, 0.7 m long, that loses 0.42 of its radius; steep leaves clasp its upper half.
+StemAxis youngStem() {
+  return StemAxis({{{0.0F, 0.0F, 0.0F}, 0.010F}, {{0.0F, 0.0F, 0.7F}, 0.0058F}});
+}
+
+TEST(MidlineRefinement, LeavesThatClaspDoNotDrawAYoungStem) {
+  for (const unsigned seed : {41U, 42U, 43U}) {
+    Points points = surfaceOf(youngStem(), 220U, 0.002, 2.0 * M_PI, seed);
+    addBlade(points, 0.35F, 0.6F, 0.30F, 1.0F, 150, seed);
+    addBlade(points, 0.50F, 0.5F, 0.20F, 1.3F, 250, seed + 10U);
+    addBlade(points, 0.60F, 0.5F, 0.15F, 0.8F, 300, seed + 20U);
+    // What leaves have drawn: too thick, and aside in the whorl.
+    Midline drawn;
+    drawn.axis = StemAxis({{{0.0F, 0.0F, 0.0F}, 0.011F},
+                           {{0.001F, 0.001F, 0.35F}, 0.0105F},
+                           {{0.007F, 0.009F, 0.7F}, 0.010F}});
+    drawn.spread = 0.003F;
+    const Midline refined = refineMidline(points, allOf(points), drawn, 1.2F, 1.2);
+    EXPECT_NEAR(refined.axis.length(), 0.7F, 0.01F);
+    for (float z = 0.0F; z < 0.66F; z += 0.05F) {
+      const StemAxis::Projection at = refined.axis.project({0.0F, 0.0F, z});
+      EXPECT_LT(at.distance, 0.003F) << "seed " << seed << ", height " << z;
+      EXPECT_NEAR(at.radius, youngStem().radiusAt(z), 0.0015F) << "seed " << seed << ", " << z;
+    }
+    EXPECT_NEAR(refined.spread, 0.0026F, 0.0005F);
+  }
+}
+
+TEST(MidlineRefinement, AHiddenFootStaysWhereItWas) {
+  Points points;
+  for (const Eigen::Vector3f& point : surfaceOf(youngStem(), 400U, 0.003, 2.0 * M_PI, 44U)) {
+    if (point.z() > 0.3F) points.push_back(point);
+  }
+  Midline midline;
+  midline.axis = youngStem();
+  midline.spread = 0.003F;
+  const Midline refined = refineMidline(points, allOf(points), midline, 2.0F);
+  EXPECT_LT(refined.axis.project({0.0F, 0.0F, 0.0F}).distance, 0.006F);
+}
+
+TEST(MidlineRefinement, TooFewPointsChangeNothing) {
+  Midline midline;
+  midline.axis = youngStem();
+  midline.spread = 0.003F;
+  for (const std::size_t count : {0U, 1U, 10U}) {
+    const Points points = surfaceOf(youngStem(), count, 0.001, 2.0 * M_PI, 45U);
+    const Midline refined = refineMidline(points, allOf(points), midline, 1.2F);
+    EXPECT_EQ(refined.axis.length(), midline.axis.length());
+    EXPECT_EQ(refined.spread, midline.spread);
   }
 }
 
