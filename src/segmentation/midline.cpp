@@ -195,6 +195,12 @@ class CurveFit {
     return core < kEmpty * expected && near > kLeaves * expected;
   }
 
+  /// Keeps the centres about where they are now.
+  void anchor(double stddev) {
+    anchors_ = curve_.centers;
+    anchor_stddev_ = stddev;
+  }
+
   /// Starts the surface at a typical radius, which also is its prior.
   void setRadius(double typical) {
     typical_radius_ = typical;
@@ -493,7 +499,8 @@ class CurveFit {
       equations.addRadius(few * radius, few * cell.radius_target);
     }
 
-    equations.addBending(curve_);
+    equations.addBending(curve_.spacing);
+    equations.addHold(anchors_.empty() ? curve_.centers : anchors_, anchor_stddev_);
     if (surface) {
       const double level = 1.0 / std::pow(kRadiusStddev * typical_radius_, 2);
       const double slope = 1.0 / std::pow(kTaperStddev * typical_radius_, 2);
@@ -529,6 +536,8 @@ class CurveFit {
   double foot_ = -std::numeric_limits<double>::infinity();
   double foot_spread_ = 0.0;
   double typical_radius_ = 0.0;
+  std::vector<Eigen::Vector2d> anchors_;          // empty: where the centres are
+  double anchor_stddev_ = CurveEquations::kFree;  // [m]
   std::vector<double> shares_;
   std::vector<double> trust_;
   std::vector<double> posterior_;
@@ -705,13 +714,10 @@ void settle(Hypothesis& stem) {
   }
 }
 
-}  // namespace
-
-Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
-                   const std::vector<std::uint32_t>& members, const StemAxis& prior,
-                   float max_radius, float plant_height) {
-  const ChordFrame frame(prior);
-  const Scale scale(max_radius, plant_height);
+/// The members that lie between the ends of the prior, or a little beyond, by height.
+std::vector<Sample> samplesOf(const std::vector<Eigen::Vector3f>& points,
+                              const std::vector<std::uint32_t>& members, const ChordFrame& frame,
+                              const Scale& scale) {
   std::vector<Sample> samples;
   for (const std::uint32_t i : members) {
     const Sample sample = frame.toFrame(points[i]);
@@ -719,20 +725,47 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
       samples.push_back(sample);
     }
   }
+  sortByHeight(samples);
+  return samples;
+}
+
+/// The prior as it is where there are too few points.
+Midline unfitted(const StemAxis& prior, float max_radius) {
   Midline midline;
   midline.axis = prior;
   midline.spread = 0.125F * max_radius;
-  if (samples.size() < kMinPoints) return midline;
+  return midline;
+}
+
+Midline midlineOf(const Hypothesis& stem, const ChordFrame& frame, const Scale& scale,
+                  Midline unfitted) {
+  std::optional<StemAxis> axis = axisOf(stem.fit.curve(), frame, scale.thickest);
+  if (!axis) return unfitted;
+  Midline midline;
+  midline.axis = *std::move(axis);
+  midline.spread = static_cast<float>(stem.spread);
+  midline.evidence = static_cast<float>(stem.fit.evidence(stem.low, stem.high));
+  return midline;
+}
+
+}  // namespace
+
+Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
+                   const std::vector<std::uint32_t>& members, const StemAxis& prior,
+                   float max_radius, float plant_height) {
+  const ChordFrame frame(prior);
+  const Scale scale(max_radius, plant_height);
+  std::vector<Sample> samples = samplesOf(points, members, frame, scale);
+  if (samples.size() < kMinPoints) return unfitted(prior, max_radius);
 
   const Eigen::Vector2d foot = scale.young ? densestFoot(samples, frame.upright(), scale)
                                            : Eigen::Vector2d(Eigen::Vector2d::Zero());
-  sortByHeight(samples);
   const StemCurve start = curveAlong(prior, frame, scale.spacing);
   placeOn(start, scale, samples);
 
   // 1. Stretches that are surely stem, or a leaf.
   std::vector<Hypothesis> stems = likelyStretches(samples, start, foot, frame.upright(), scale);
-  if (stems.empty()) return midline;
+  if (stems.empty()) return unfitted(prior, max_radius);
   // 2. The whole stem from there. What stands on the soil is no leaf.
   for (Hypothesis& stem : stems) extend(stem, samples, scale);
   const auto rooted = [&](const Hypothesis& stem) {
@@ -741,12 +774,39 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
   Hypothesis& stem = stems.size() > 1U && rooted(stems[1]) > rooted(stems[0]) ? stems[1] : stems[0];
   settle(stem);
 
-  std::optional<StemAxis> axis = axisOf(stem.fit.curve(), frame, scale.thickest);
-  if (!axis) return midline;
-  midline.axis = *std::move(axis);
-  midline.spread = static_cast<float>(stem.spread);
-  midline.evidence = static_cast<float>(stem.fit.evidence(stem.low, stem.high));
-  return midline;
+  return midlineOf(stem, frame, scale, unfitted(prior, max_radius));
+}
+
+Midline followMidline(const std::vector<Eigen::Vector3f>& points,
+                      const std::vector<std::uint32_t>& members, const StemAxis& known,
+                      float max_radius, float plant_height) {
+  const ChordFrame frame(known);
+  const Scale scale(max_radius, plant_height);
+  std::vector<Sample> samples = samplesOf(points, members, frame, scale);
+  if (samples.size() < kMinPoints) return unfitted(known, max_radius);
+  const StemCurve start = curveAlong(known, frame, scale.spacing);
+  placeOn(start, scale, samples);
+  Hypothesis best{CurveFit(samples, start, scale)};
+  double most = -1.0;
+  for (const double radius : {0.2, 0.3, 0.42, 0.58, 0.8}) {
+    Hypothesis stem{CurveFit(samples, start, scale)};
+    stem.low = 0.0;
+    stem.high = frame.length;
+    stem.fit.setActive(stem.low, stem.high);
+    constexpr double kError = 0.006;  // [m] of the known axis
+    stem.fit.anchor(kError);
+    stem.fit.setRadius(radius * scale.thickest);
+    for (const double spread : {0.006, 0.005, 0.004, 0.004}) {
+      stem.fit.judge(stem.low, stem.high);
+      stem.fit.fitSurface(spread);
+    }
+    stem.spread = stem.fit.surfaceSpread();
+    const double evidence = stem.fit.evidence(stem.low, stem.high);
+    if (evidence <= most) continue;
+    most = evidence;
+    best = stem;
+  }
+  return midlineOf(best, frame, scale, unfitted(known, max_radius));
 }
 
 std::vector<std::uint32_t> pruneByMidline(const std::vector<Eigen::Vector3f>& points,

@@ -180,7 +180,8 @@ class SurfaceFit {
     const Eigen::Vector2d lost(kTaper, length_);  // nothing but what the taper explains
     radius_normal += slope * lost * lost.transpose();
     equations.addRadius(radius_normal, radius_right);
-    equations.addBending(curve_);
+    equations.addBending(curve_.spacing);
+    equations.addHold(curve_.centers);
     // Where hardly a point is seen, the midline knows better, and the stand behind it.
     constexpr double kKnown = 1.0 / (0.005 * 0.005);  // [1/m^2]
     for (std::size_t k = 0; k < known_.size(); ++k) {

@@ -258,21 +258,35 @@ void RowModel::fitSpacing(const std::vector<PlantPlace>& places, double hint) {
   *this = best;
 }
 
-double RowModel::spacingOdds(const Eigen::Vector2d& position,
-                             const std::vector<Eigen::Vector2d>& others) const {
-  if (!(plant_spacing_ > 0.0)) return 1.0;
+RowModel::Neighbors RowModel::neighborsOf(const Eigen::Vector2d& position,
+                                          const std::vector<Eigen::Vector2d>& others) const {
   const int row = rowOf(position);
-  double before = std::numeric_limits<double>::infinity();
-  double after = before;
+  Neighbors next{std::numeric_limits<double>::infinity(), std::numeric_limits<double>::infinity()};
   for (const Eigen::Vector2d& other : others) {
     if (rowOf(other) != row) continue;
     const double ahead = alongRow(other) - alongRow(position);
-    if (ahead > 0.0) {
-      after = std::min(after, ahead);
-    } else {
-      before = std::min(before, -ahead);
-    }
+    double& side = ahead > 0.0 ? next.after : next.before;
+    side = std::min(side, std::abs(ahead));
   }
+  return next;
+}
+
+double RowModel::intervalOdds(const Eigen::Vector2d& position,
+                              const std::vector<Eigen::Vector2d>& others) const {
+  if (!(plant_spacing_ > 0.0)) return 1.0;
+  constexpr double kFar = 4.0;  // spacings: beyond it a neighbour tells nothing
+  const auto [before, after] = neighborsOf(position, others);
+  double odds = 1.0;
+  for (const double interval : {before, after}) {
+    odds *= plant_spacing_ * intervalDensity(std::min(interval, kFar * plant_spacing_));
+  }
+  return odds;
+}
+
+double RowModel::spacingOdds(const Eigen::Vector2d& position,
+                             const std::vector<Eigen::Vector2d>& others) const {
+  if (!(plant_spacing_ > 0.0)) return 1.0;
+  const auto [before, after] = neighborsOf(position, others);
   const bool alone = !std::isfinite(before) && !std::isfinite(after);
   if (alone) return 1.0;
   // Plants of a row keep apart; where they leave room, one more was sown.

@@ -23,6 +23,10 @@ Sight sightOf(const Block& block, const NeighborGrid& grid, const Midline& midli
   const StemAxis& axis = midline.axis;
   Sight sight;
   for (float s = 0.5F * kBand; s < axis.length(); s += kBand) {
+    if (s < midline.hidden) {
+      sight.weights.push_back(0.0F);
+      continue;
+    }
     const BandSight band = seeBand(block.cloud.points, grid, midline, s, kBand);
     constexpr float kMostOfBand = 12.0F;  // points of one band err together
     sight.weights.push_back(band.inside > band.around ? std::min(band.inside, kMostOfBand) : 0.0F);
@@ -43,12 +47,18 @@ bool footIsSeen(const Sight& sight) {
 
 }  // namespace
 
-std::optional<StemAxis> settleFoot(const Block& block, const NeighborGrid& grid,
-                                   const Midline& midline, const StandLean& lean) {
-  if (!(lean.scatter > 0.0F)) return std::nullopt;
+std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& grid,
+                                      const Midline& midline, const Stand& stand) {
+  const StandLean& lean = stand.lean;
+  if (!lean.known()) return std::nullopt;
   const StemAxis& axis = midline.axis;
   const Sight sight = sightOf(block, grid, midline);
-  if (!(sight.total > 0.0F) || footIsSeen(sight)) return std::nullopt;
+  if (!(sight.total > 0.0F)) return std::nullopt;
+  constexpr float kOnSoil = 0.10F;  // [m]
+  if (!(midline.hidden > 0.0F) &&
+      block.ground.heightAbove(axis.nodes().front().position) < kOnSoil && footIsSeen(sight)) {
+    return std::nullopt;
+  }
 
   // 1. The part that is seen: its middle and its slope.
   Eigen::Vector3f middle = Eigen::Vector3f::Zero();
@@ -67,6 +77,12 @@ std::optional<StemAxis> settleFoot(const Block& block, const NeighborGrid& grid,
   const Eigen::Vector2f seen_slope = moment / lever;
   constexpr float kLeafPull = 0.015F;  // [m] by which leaves move either end
   const float seen_error = kLeafPull / std::sqrt(lever);
+
+  constexpr float kStray = 0.05F;  // of what is seen in all
+  float below = 0.0F;
+  std::size_t lowest = 0U;
+  while (below + sight.weights[lowest] < kStray * sight.total) below += sight.weights[lowest++];
+  const Eigen::Vector3f seen_from = axis.pointAt(static_cast<float>(lowest) * kBand);
 
   // 2. The points further down that may be the stem's.
   const float soil = block.ground.heightAt(middle.x(), middle.y());
@@ -98,6 +114,11 @@ std::optional<StemAxis> settleFoot(const Block& block, const NeighborGrid& grid,
     const float standing = lean.deviation(slope, 0.0F);
     float score = -0.5F * standing * standing -
                   0.5F * (slope - seen_slope).squaredNorm() / (seen_error * seen_error);
+    if (stand.rows) {
+      const Eigen::Vector2d foot = (middle.head<2>() - height * slope).cast<double>();
+      score += static_cast<float>(std::log(stand.rows->rowOdds(foot)) +
+                                  std::log(stand.rows->intervalOdds(foot, stand.plants)));
+    }
     for (const std::vector<Drop>& slab : slabs) {
       constexpr float kWidth = 0.010F;  // [m] of a stem's points about its axis
       constexpr float kFew = 1.0F;      // point that chance puts there
@@ -141,7 +162,10 @@ std::optional<StemAxis> settleFoot(const Block& block, const NeighborGrid& grid,
   for (const StemAxis::Node& node : axis.nodes()) {
     if (node.position.z() > nodes.back().position.z() + kLeastStep) nodes.push_back(node);
   }
-  return StemAxis(std::move(nodes));
+  SettledFoot settled;
+  settled.axis = StemAxis(std::move(nodes));
+  settled.hidden = settled.axis.project(seen_from).arc_length;
+  return settled;
 }
 
 }  // namespace field_phenotyping

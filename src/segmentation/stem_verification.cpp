@@ -85,6 +85,22 @@ Eigen::Vector3f baseOf(const Block& block, const StemCandidate& stem) {
   return stem.midline.axis.pointAtHeight(block.ground.heightAt(low.x(), low.y()));
 }
 
+/// Whether two candidates stand too near to one another to be two plants: nearer than plants at the
+/// soil, or half as near, there or where both are seen, if a foot is guessed.
+bool tooNear(const Midline& a, const Midline& b, const Eigen::Vector3f& base_a,
+             const Eigen::Vector3f& base_b, float least_distance) {
+  constexpr float kGuessed = 0.5F;
+  const float apart = (base_a - base_b).head<2>().norm();
+  if (!(a.hidden > 0.0F) && !(b.hidden > 0.0F)) return apart < least_distance;
+  if (apart < kGuessed * least_distance) return true;
+  const float low = std::max(a.axis.pointAt(a.hidden).z(), b.axis.pointAt(b.hidden).z());
+  const float high =
+      std::min(a.axis.nodes().back().position.z(), b.axis.nodes().back().position.z());
+  const float middle = 0.5F * (low + std::max(low, high));
+  return (a.axis.pointAtHeight(middle) - b.axis.pointAtHeight(middle)).head<2>().norm() <
+         kGuessed * least_distance;
+}
+
 /// How much more a candidate is like a stem than like leaves and noise.
 float meritOf(const Block& block, const NeighborGrid& grid, const Canopy& canopy,
               const StemCandidate& stem, float canopy_height, float band_height) {
@@ -110,7 +126,8 @@ float thicknessFit(const StemCandidate& stem, float typical) {
 
 /// Plants of one stand keep their distance: what stands far nearer to a better stem than the others
 /// do to one another must be nearly as good. `stems` come best first.
-std::vector<std::size_t> withoutCrowding(const std::vector<std::size_t>& stems,
+std::vector<std::size_t> withoutCrowding(const std::vector<StemCandidate>& candidates,
+                                         const std::vector<std::size_t>& stems,
                                          const std::vector<Eigen::Vector3f>& bases,
                                          const std::vector<float>& merits) {
   constexpr std::size_t kLeastStems = 4U;
@@ -132,7 +149,9 @@ std::vector<std::size_t> withoutCrowding(const std::vector<std::size_t>& stems,
   std::vector<std::size_t> kept;
   for (const std::size_t c : stems) {
     const bool crowds = std::any_of(kept.begin(), kept.end(), [&](std::size_t better) {
-      return apart(c, better) < kCrowded * typical && merits[c] < kAsGood * merits[better];
+      return tooNear(candidates[c].midline, candidates[better].midline, bases[c], bases[better],
+                     kCrowded * typical) &&
+             merits[c] < kAsGood * merits[better];
     });
     if (!crowds) kept.push_back(c);
   }
@@ -184,7 +203,8 @@ std::vector<std::size_t> distinctStems(const std::vector<StemCandidate>& candida
   for (const std::size_t c : order) {
     const std::vector<std::uint32_t>& points = candidates[c].points;
     const bool too_near = std::any_of(kept.begin(), kept.end(), [&](std::size_t other) {
-      return (bases[c] - bases[other]).head<2>().norm() < least_distance;
+      return tooNear(candidates[c].midline, candidates[other].midline, bases[c], bases[other],
+                     least_distance);
     });
     if (too_near || !worthy(c, kept)) continue;
     const auto shared = static_cast<std::size_t>(std::count_if(
@@ -311,7 +331,7 @@ std::vector<std::size_t> StemSelection::stemsAmong(
   for (const std::size_t c : distinct) {
     if (merits[c] >= kLeastShare * usual) stems.push_back(c);
   }
-  stems = withoutCrowding(stems, bases, merits);
+  stems = withoutCrowding(candidates, stems, bases, merits);
 
   // Those show the rows, which say where a stem needs less merit, and where it needs more.
   std::vector<PlantPlace> places;
@@ -338,7 +358,7 @@ std::vector<std::size_t> StemSelection::stemsAmong(
           const double odds = rows->spacingOdds(bases[c].head<2>().cast<double>(), others);
           return likely[c] * priorOf(odds) >= std::max(kLeastMerit, kLeastShare * usual);
         });
-    stems = withoutCrowding(stems, bases, likely);
+    stems = withoutCrowding(candidates, stems, bases, likely);
   }
   std::sort(stems.begin(), stems.end());
   return stems;

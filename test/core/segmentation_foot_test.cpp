@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <optional>
 #include <random>
 #include <vector>
 
@@ -56,7 +57,8 @@ class Foot : public ::testing::Test {
     midline.axis = straight({base.x(), base.y(), 0.0F}, turned);
     midline.spread = 0.006F;
     const NeighborGrid grid(block_.cloud.points, 0.02F);
-    const StemAxis settled = settleFoot(block_, grid, midline, lean).value_or(midline.axis);
+    const std::optional<SettledFoot> foot = settleFoot(block_, grid, midline, {lean, {}, {}});
+    const StemAxis& settled = foot ? foot->axis : midline.axis;
     EXPECT_NEAR(settled.nodes().back().position.z(), kLength, 1e-4F);
     EXPECT_NEAR(settled.nodes().front().position.z(), 0.0F, 0.01F);
     return settled.nodes().front().position.head<2>().norm();

@@ -13,6 +13,7 @@ struct Midline {
   StemAxis axis;
   float spread = 0.0F;    ///< robust standard deviation of the points about the stem surface [m]
   float evidence = 0.0F;  ///< log likelihood gained by a stem there over leaves and noise alone
+  float hidden = 0.0F;    ///< [m] of the axis from its base that is guessed from what is seen above
 };
 
 /// Fits the curved midline of a stem and its radius profile (2.4.2, Step 1; Eq 15 made a curve that
@@ -33,6 +34,12 @@ struct Midline {
 Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
                    const std::vector<std::uint32_t>& members, const StemAxis& prior,
                    float max_radius, float plant_height);
+
+/// The same along an axis that is known within a few millimetres, where a free fit would follow the
+/// leaves that hide the stem: radius, spread and evidence, with the axis hardly moved.
+Midline followMidline(const std::vector<Eigen::Vector3f>& points,
+                      const std::vector<std::uint32_t>& members, const StemAxis& known,
+                      float max_radius, float plant_height);
 
 /// Removes over-segmented points (2.4.2, Steps 2-4): those farther from the midline than `factor`
 /// times the median distance of their height band (Eq 16). Keeps the order.

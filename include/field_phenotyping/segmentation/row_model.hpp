@@ -49,9 +49,19 @@ class RowModel {
   /// spacing. `others`: the plants, in any order; only those of its row count.
   double spacingOdds(const Eigen::Vector2d& position,
                      const std::vector<Eigen::Vector2d>& others) const;
+  /// How much likelier a plant is there than anywhere in its row, as to how far from it the next of
+  /// the row stand.
+  double intervalOdds(const Eigen::Vector2d& position,
+                      const std::vector<Eigen::Vector2d>& others) const;
 
  private:
   struct Fit;
+  struct Neighbors {
+    double before;  // [m] to the next plant of the row; infinite: none
+    double after;
+  };
+  Neighbors neighborsOf(const Eigen::Vector2d& position,
+                        const std::vector<Eigen::Vector2d>& others) const;
 
   RowModel() = default;
   double intervalDensity(double interval) const;  // [1/m] of two plants that follow in a row

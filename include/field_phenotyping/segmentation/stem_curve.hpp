@@ -125,13 +125,12 @@ class CurveEquations {
     radius_right_ += right;
   }
 
-  /// Holds the curve together: its slope wanders little, and nodes stay about where they are, so
-  /// that nothing is undetermined.
-  void addBending(const StemCurve& curve) {
+  /// Holds the curve together: its slope wanders little.
+  /// @param spacing of the nodes [m]
+  void addBending(double spacing) {
     constexpr double kBend = 0.05;  // [1/sqrt(m)] what the slope wanders by
-    const double bend = 1.0 / (kBend * kBend * std::pow(curve.spacing, 3));
-    const std::size_t unknowns = right_.size();
-    for (std::size_t i = 0; i + 4U < unknowns; ++i) {
+    const double bend = 1.0 / (kBend * kBend * std::pow(spacing, 3));
+    for (std::size_t i = 0; i + 4U < right_.size(); ++i) {
       add(i, i, bend);
       add(i + 2U, i + 2U, 4.0 * bend);
       add(i + 4U, i + 4U, bend);
@@ -139,13 +138,19 @@ class CurveEquations {
       add(i + 4U, i + 2U, -2.0 * bend);
       add(i + 4U, i, bend);
     }
-    constexpr double kHold = 1.0 / (0.2 * 0.2);  // [1/m^2]
-    for (std::size_t i = 0; i < unknowns; ++i) {
-      add(i, i, kHold);
-      const double held = curve.centers[i / 2U][static_cast<Eigen::Index>(i % 2U)];
-      addRight(i, {kHold * held, 0.0, 0.0});
+  }
+
+  /// Holds the nodes to places; weakly, so that nothing is undetermined, unless those are known.
+  /// @param stddev of the places [m]
+  void addHold(const std::vector<Eigen::Vector2d>& places, double stddev = kFree) {
+    const double hold = 1.0 / (stddev * stddev);
+    for (std::size_t i = 0; i < right_.size(); ++i) {
+      add(i, i, hold);
+      const double held = places[i / 2U][static_cast<Eigen::Index>(i % 2U)];
+      addRight(i, {hold * held, 0.0, 0.0});
     }
   }
+  static constexpr double kFree = 0.2;  ///< [m]
 
   /// The node unknowns, then radius and taper if wanted. Not finite where there is no solution.
   Eigen::VectorXd solve(bool with_radius) && {

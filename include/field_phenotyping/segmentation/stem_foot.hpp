@@ -1,26 +1,44 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <optional>
+#include <vector>
 
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
+#include "field_phenotyping/segmentation/row_model.hpp"
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
 
 namespace field_phenotyping {
+
+/// How plants stand, as far as it is known from those that were found.
+struct Stand {
+  StandLean lean;
+  std::optional<RowModel> rows;
+  std::vector<Eigen::Vector2d> plants;  ///< their bases, horizontal, local frame [m]
+};
+
+/// An axis that has been carried down to the soil.
+struct SettledFoot {
+  StemAxis axis;
+  float hidden = 0.0F;  ///< of Midline
+};
 
 /// Axis of a stem whose foot the canopy hides, carried down to the soil anew.
 ///
 /// Where only the top of a stem is seen well, leaves turn the midline by a few degrees, and its
 /// foot ends up at a neighbour's. So the foot is chosen among the places round it: it should give
-/// the stem a lean that the stand has, agree with the slope of what is seen, and meet the few
-/// points that are seen further down. Straight from there to the middle of the part that is seen.
+/// the stem a lean that the stand has, agree with the slope of what is seen, meet the few points
+/// that are seen further down, lie in a row, and stand as far from its neighbours there as plants
+/// do. Straight from there to the middle of the part that is seen.
 ///
 /// @param grid over the points of `block.cloud`
-/// @param lean of the stand
+/// @param midline may begin above the soil, where the stem is seen first
+/// @param stand   without the plant itself
 /// None where the foot is seen, or where the stand's lean is not known: the axis is good as it is.
 /// Thread-safe; deterministic.
-std::optional<StemAxis> settleFoot(const Block& block, const NeighborGrid& grid,
-                                   const Midline& midline, const StandLean& lean);
+std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& grid,
+                                      const Midline& midline, const Stand& stand);
 
 }  // namespace field_phenotyping

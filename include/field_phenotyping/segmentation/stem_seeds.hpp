@@ -27,11 +27,12 @@ enum class SeedEvidence {
 struct StandLean {
   Eigen::Vector2f slope = Eigen::Vector2f::Zero();
   float scatter = 0.0F;  ///< standard deviation of either component; 0: not known
+  bool known() const { return scatter > 0.0F; }
 
   /// How far a slope is from the stand's, in standard deviations; `error`: that of the slope
   /// itself.
   float deviation(const Eigen::Vector2f& of, float error) const {
-    return scatter > 0.0F ? (of - slope).norm() / std::hypot(scatter, error) : 0.0F;
+    return known() ? (of - slope).norm() / std::hypot(scatter, error) : 0.0F;
   }
 };
 
