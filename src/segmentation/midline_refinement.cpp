@@ -51,6 +51,8 @@ class SurfaceFit {
 
   /// Points that the stem's surface explains.
   double explained() const { return explained_; }
+  /// Share of the circumference that it is seen from: 1 from all round, 1/2 from one side.
+  double seenAround() const { return seen_around_; }
   /// Points within the surface of a midline with the same nodes, or near to it.
   double within(const StemCurve& curve, double radius, double spread) const {
     double count = 0.0;
@@ -95,6 +97,7 @@ class SurfaceFit {
     double stem = 0.0;
     double radius = 0.0;  ///< sum over the points
     double points = 0.0;
+    std::array<double, kSectors> seen{};  ///< points of the stem, by direction
     std::array<double, kSectors> others{};
   };
 
@@ -138,6 +141,7 @@ class SurfaceFit {
 
       Counts& count = counts[band];
       count.stem += posterior;
+      count.seen[sector] += posterior;
       count.others[sector] += 1.0 - posterior;
       count.radius += radius;
       count.points += 1.0;
@@ -167,6 +171,7 @@ class SurfaceFit {
       radius_right += weight * target * profile;
     }
     explained_ = total;
+    seen_around_ = shareSeen(counts);
     describeBands(counts, ring);
     if (with_spread) {
       spread_ = std::clamp(std::sqrt(squares / total), kMinSpread, most_spread_);
@@ -201,6 +206,17 @@ class SurfaceFit {
     curve_.taper = std::min(solved[solved.size() - 1], 0.0);
   }
 
+  /// From how often two points of a band lie in one sector.
+  static double shareSeen(const std::vector<Counts>& counts) {
+    double pairs = 0.0;
+    double together = 0.0;
+    for (const Counts& count : counts) {
+      pairs += count.stem * (count.stem - 1.0);
+      for (const double seen : count.seen) together += seen * (seen - 1.0);
+    }
+    return together > 0.0 ? pairs / (together * static_cast<double>(kSectors)) : 1.0;
+  }
+
   std::size_t bandOf(double height) const {
     const double share = std::clamp(height / length_, 0.0, 1.0);
     return std::min(static_cast<std::size_t>(share * static_cast<double>(bands_.size())),
@@ -231,6 +247,7 @@ class SurfaceFit {
   double typical_radius_;               ///< [m] halfway up
   std::vector<Eigen::Vector2d> known_;  // the first centres, as they were
   double explained_ = 0.0;
+  double seen_around_ = 1.0;
   std::vector<Band> bands_;
 };
 
@@ -267,6 +284,9 @@ Midline refineMidline(const std::vector<Eigen::Vector3f>& points,
   constexpr double kLeastShare = 0.5;
   const double held = fit.within(before, typical * widened, static_cast<double>(midline.spread));
   if (fit.explained() < kLeastShare * held) return midline;
+  // Seen from one side, a flat arc, a surface moves off without its points saying so.
+  constexpr double kLeastSeen = 0.6;
+  if (fit.seenAround() < kLeastSeen) return midline;
 
   constexpr double kThickest = 0.10;  // [m]
   Midline refined = midline;
