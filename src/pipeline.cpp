@@ -96,8 +96,15 @@ class VoxelLabels {
   std::map<BlockIndex, KeyMap<PointLabel>> labels_;
 };
 
-/// Where tiles must begin to cover the cloud with as few as can be: margins are worked twice.
-Eigen::Vector2d fewestTiles(const PointCloud& cloud, const PreprocessingParameters& parameters) {
+/// How a whole cloud is cut into square tiles.
+struct Tiling {
+  double edge;             // [m]
+  Eigen::Vector2d corner;  // of tile (0, 0) [m], in the map frame
+};
+
+/// Margins are worked twice or more: tiles begin where fewest cover the cloud, and are up to half
+/// as wide again as asked for where that leaves less to work.
+Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& parameters) {
   const Eigen::Array2d least(parameters.min_x, parameters.min_y);
   const Eigen::Array2d most(parameters.max_x, parameters.max_y);
   Eigen::Array2d low = most;
@@ -108,10 +115,22 @@ Eigen::Vector2d fewestTiles(const PointCloud& cloud, const PreprocessingParamete
     low = low.min(place);
     high = high.max(place);
   }
-  if ((low > high).any()) return Eigen::Vector2d::Zero();
+  const double wanted = parameters.block_size;
+  if ((low > high).any()) return {wanted, Eigen::Vector2d::Zero()};
   const Eigen::Array2d extent = high - low;
-  const Eigen::Array2d tiles = (extent / parameters.block_size).floor() + 1.0;
-  return low - 0.5 * (tiles * parameters.block_size - extent);
+  const auto tilesOf = [&](double edge) -> Eigen::Array2d { return (extent / edge).floor() + 1.0; };
+  const auto workOf = [&](double edge) {
+    const double worked = edge + 2.0 * parameters.block_margin;
+    return tilesOf(edge).prod() * worked * worked;
+  };
+  constexpr int kSteps = 10;
+  constexpr double kWidest = 1.5;  // of what is asked for
+  double edge = wanted;
+  for (int k = 1; k <= kSteps; ++k) {
+    const double wider = wanted * (1.0 + (kWidest - 1.0) * k / kSteps);
+    if (workOf(wider) < workOf(edge)) edge = wider;
+  }
+  return {edge, low - 0.5 * (tilesOf(edge) * edge - extent)};
 }
 
 }  // namespace
@@ -126,8 +145,9 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   PreprocessingParameters preprocessing = parameters.preprocessing;
   preprocessing.min_range = 0.0;
   preprocessing.max_range = std::numeric_limits<double>::infinity();
-  const Eigen::Vector2d tile_corner = fewestTiles(cloud, preprocessing);
-  Preprocessor preprocessor(preprocessing, "map", tile_corner);
+  const Tiling tiling = leastWork(cloud, preprocessing);
+  preprocessing.block_size = tiling.edge;
+  Preprocessor preprocessor(preprocessing, "map", tiling.corner);
   Scan scan;
   scan.cloud = cloud;
   preprocessor.addScan(scan, Eigen::Isometry3d::Identity());
@@ -167,7 +187,7 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
     result.blocks[b] = std::move(completed);
   });
 
-  VoxelLabels voxel_labels(preprocessing, tile_corner);
+  VoxelLabels voxel_labels(preprocessing, tiling.corner);
   if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
   for (std::size_t b = 0; b < due.size(); ++b) {
     voxel_labels.add(*segmented[b]);

@@ -25,7 +25,7 @@ struct PreprocessingParameters {
   double voxel_size = 0.003;
   double outlier_radius = 0.05;
   int outlier_min_neighbors = 2;
-  double block_size = 2.0;
+  double block_size = 4.0;
   double block_margin = 0.6;
   double ground_cell = 0.12;
   double ground_distance = 0.04;
@@ -176,7 +176,9 @@ struct SegmentationParameters {
             "prune_factor", "",
             "k of the midline pruning: points beyond k times the median distance go (2.4.2)"},
         p.prune_factor, 1.0, 10.0);
-    v(ParameterInfo{"organ_reach", "m", "longest gap that leaves and tassels are followed across"},
+    v(ParameterInfo{"organ_reach", "m",
+                    "gap that leaves and tassels are followed across; 1.6 times as far straight on "
+                    "along a leaf"},
       p.organ_reach, 0.005, 1.0);
   }
 };

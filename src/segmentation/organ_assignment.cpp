@@ -745,7 +745,8 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   const float noise = noiseOf(block, axes, owner);
   Cells cells = gatherCells(block, owner, shapeRadius(noise));
   const Pieces pieces = findPieces(cells, noise);
-  const std::vector<std::vector<Link>> links = linkPieces(cells, pieces, 1.6F * reach);
+  constexpr float kStraightOn = 1.6F;  // of the reach, along a leaf
+  const std::vector<std::vector<Link>> links = linkPieces(cells, pieces, kStraightOn * reach);
   // First with leaves as they usually are, then with what that shows of these ones.
   constexpr float kLooseWeight = 5.0F;
   constexpr float kFirmWeight = 15.0F;

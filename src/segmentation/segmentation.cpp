@@ -4,6 +4,7 @@
 #include <cmath>
 #include <functional>
 #include <iterator>
+#include <limits>
 #include <optional>
 #include <utility>
 
@@ -385,6 +386,41 @@ std::vector<std::int32_t> resolveOwners(const GrowthScene& scene,
   return owner;
 }
 
+/// Whether each stem is a tiller or a leaf's, not a plant's: what belongs to it stays far below the
+/// stand, and it rises so near to a plant that nothing would have been sown there.
+std::vector<bool> findTillers(const GrowthScene& scene, const Block& block,
+                              const std::vector<GrownStem>& stems,
+                              const std::vector<std::int32_t>& plant_owner) {
+  constexpr std::size_t kLeastStems = 5U;  // that show how a stand grows
+  constexpr float kLow = 0.5F;             // of the stand's height
+  constexpr double kNear = 0.35;           // of the plants' usual distance
+  std::vector<bool> tillers(stems.size(), false);
+  if (stems.size() < kLeastStems) return tillers;
+  std::vector<float> heights(stems.size(), 0.0F);
+  for (std::size_t i = 0; i < scene.points.size(); ++i) {
+    if (plant_owner[i] < 0) continue;
+    float& height = heights[static_cast<std::size_t>(plant_owner[i])];
+    height = std::max(height, block.ground.heightAbove(scene.points[i]));
+  }
+  const float low = kLow * medianOf(heights);
+  std::vector<Eigen::Vector2d> bases;
+  for (const GrownStem& stem : stems) bases.push_back(baseOf(block, stem.midline.axis));
+  std::vector<double> nearest(stems.size(), std::numeric_limits<double>::infinity());
+  std::vector<double> spacings;
+  for (std::size_t s = 0; s < stems.size(); ++s) {
+    for (std::size_t other = 0; other < stems.size(); ++other) {
+      if (other == s || heights[other] < low) continue;
+      nearest[s] = std::min(nearest[s], (bases[other] - bases[s]).norm());
+    }
+    if (heights[s] >= low) spacings.push_back(nearest[s]);
+  }
+  const double near = kNear * medianOf(spacings);
+  for (std::size_t s = 0; s < stems.size(); ++s) {
+    tillers[s] = heights[s] < low && nearest[s] < near;
+  }
+  return tillers;
+}
+
 /// Reorders the block's points plant by plant, stems first.
 SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
                         const std::vector<std::int32_t>& stem_owner,
@@ -533,9 +569,19 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   });
 
   // Every other organ to its plant.
-  const std::vector<std::int32_t> stem_owner = resolveOwners(scene, stems);
-  const std::vector<std::int32_t> plant_owner =
+  std::vector<std::int32_t> stem_owner = resolveOwners(scene, stems);
+  std::vector<std::int32_t> plant_owner =
       assignOrgans(block, axesOf(stems), stem_owner, parameters);
+  const std::vector<bool> tillers = findTillers(scene, block, stems, plant_owner);
+  if (std::find(tillers.begin(), tillers.end(), true) != tillers.end()) {
+    std::vector<GrownStem> plants;
+    for (std::size_t s = 0; s < stems.size(); ++s) {
+      if (!tillers[s]) plants.push_back(std::move(stems[s]));
+    }
+    stems = std::move(plants);
+    stem_owner = resolveOwners(scene, stems);
+    plant_owner = assignOrgans(block, axesOf(stems), stem_owner, parameters);
+  }
   return assemble(block, stems, stem_owner, plant_owner);
 }
 

@@ -21,7 +21,14 @@ using testing::matchBases;
 using testing::PlantTruth;
 using testing::Scene;
 
-/// A field over four tiles; with plants on their borders and their common corner at (2, 2).
+/// Tiles so small that a few square metres show what happens at their borders.
+Parameters smallTiles() {
+  Parameters parameters;
+  parameters.preprocessing.block_size = 2.0;
+  return parameters;
+}
+
+/// A field over four such tiles; with plants on their borders and their common corner at (2, 2).
 const Scene& borderField() {
   static const Scene field = [] {
     Scene scene(testing::slopingSoil(3.0, 20.0), 1U);
@@ -75,7 +82,7 @@ void expectSame(const PipelineResult& a, const PipelineResult& b) {
 
 TEST(Pipeline, EveryPlantOnceAlsoOnBordersAndCorners) {
   const Scene& scene = borderField();
-  const PipelineResult result = phenotypeCloud(scene.cloud, Parameters());
+  const PipelineResult result = phenotypeCloud(scene.cloud, smallTiles());
   const auto matches = matchBases(testing::basesOf(scene), basesOf(result));
   std::printf("bases within %.4f m\n", matches.worst);
   EXPECT_EQ(matches.pairs.size(), scene.plants.size()) << "none is lost";
@@ -110,20 +117,20 @@ TEST(Pipeline, EveryPlantOnceAlsoOnBordersAndCorners) {
 }
 
 TEST(Pipeline, NoMoreTilesThanTheCloudNeeds) {
-  // Wherever it lies: 4 m take two tiles of 2 m on either side, and one of 5 m.
+  // Wherever it lies: 4 m take two tiles of 2 m on either side, and one of 3 m or a little more.
   PointCloud cloud = borderField().cloud;
   for (const double shift : {0.0, 0.7, -1.3}) {
     cloud.origin = borderField().cloud.origin + Eigen::Vector3d(shift, -shift, 0.0);
-    Parameters parameters;
+    Parameters parameters = smallTiles();
     EXPECT_EQ(phenotypeCloud(cloud, parameters).blocks.size(), 4U) << "moved by " << shift << " m";
-    parameters.preprocessing.block_size = 5.0;
+    parameters.preprocessing.block_size = 3.0;
     EXPECT_EQ(phenotypeCloud(cloud, parameters).blocks.size(), 1U) << "moved by " << shift << " m";
   }
 }
 
 TEST(Pipeline, LabelsAreThoseOfTheInputPoints) {
   const Scene& scene = borderField();
-  const PipelineResult result = phenotypeCloud(scene.cloud, Parameters());
+  const PipelineResult result = phenotypeCloud(scene.cloud, smallTiles());
   ASSERT_EQ(result.labels.size(), scene.cloud.size());
   const auto matches = matchBases(testing::basesOf(scene), basesOf(result));
   std::map<std::int32_t, int> truth_of;
@@ -162,7 +169,7 @@ TEST(Pipeline, PointsOfOneVoxelShareALabel) {
   const Scene& scene = borderField();
   PointCloud twice = scene.cloud;
   twice.points.insert(twice.points.end(), scene.cloud.points.begin(), scene.cloud.points.end());
-  const PipelineResult result = phenotypeCloud(twice, Parameters());
+  const PipelineResult result = phenotypeCloud(twice, smallTiles());
   const std::size_t half = scene.cloud.size();
   for (std::size_t i = 0; i < half; ++i) {
     ASSERT_EQ(result.labels[i].plant_id, result.labels[half + i].plant_id);
@@ -175,21 +182,21 @@ TEST(Pipeline, SameResultWhateverTheThreads) {
   PipelineResult one;
   {
     const ThreadLimit limit(1);
-    one = phenotypeCloud(scene.cloud, Parameters());
+    one = phenotypeCloud(scene.cloud, smallTiles());
   }
   ASSERT_FALSE(one.plants.empty());
   for (const int threads : {2, 4}) {
     const ThreadLimit limit(threads);
-    expectSame(one, phenotypeCloud(scene.cloud, Parameters()));
+    expectSame(one, phenotypeCloud(scene.cloud, smallTiles()));
   }
 }
 
 TEST(Pipeline, FarFromTheOriginAsAtIt) {
   const Scene& scene = borderField();
-  const PipelineResult near_result = phenotypeCloud(scene.cloud, Parameters());
+  const PipelineResult near_result = phenotypeCloud(scene.cloud, smallTiles());
   PointCloud shifted = scene.cloud;
   shifted.origin = {500000.0, 4500000.0, 90.0};
-  const PipelineResult far_result = phenotypeCloud(shifted, Parameters());
+  const PipelineResult far_result = phenotypeCloud(shifted, smallTiles());
   ASSERT_EQ(far_result.plants.size(), near_result.plants.size());
   const auto matches = matchBases(basesOf(near_result), basesOf(far_result, shifted.origin));
   ASSERT_EQ(matches.pairs.size(), near_result.plants.size());
@@ -210,7 +217,7 @@ TEST(Pipeline, FarFromTheOriginAsAtIt) {
 }
 
 TEST(Pipeline, EmptyNanAndSinglePointClouds) {
-  const PipelineResult empty = phenotypeCloud(PointCloud(), Parameters());
+  const PipelineResult empty = phenotypeCloud(PointCloud(), smallTiles());
   EXPECT_TRUE(empty.plants.empty());
   EXPECT_TRUE(empty.labels.empty());
   EXPECT_TRUE(empty.blocks.empty());
@@ -218,7 +225,7 @@ TEST(Pipeline, EmptyNanAndSinglePointClouds) {
   const float nan = std::numeric_limits<float>::quiet_NaN();
   PointCloud nans;
   nans.points.assign(1000U, {nan, 1.0F, 2.0F});
-  const PipelineResult nothing = phenotypeCloud(nans, Parameters());
+  const PipelineResult nothing = phenotypeCloud(nans, smallTiles());
   EXPECT_TRUE(nothing.plants.empty());
   ASSERT_EQ(nothing.labels.size(), 1000U);
   for (const PointLabel& label : nothing.labels) EXPECT_EQ(label.plant_id, -1);
@@ -228,7 +235,7 @@ TEST(Pipeline, EmptyNanAndSinglePointClouds) {
     for (std::size_t i = 0; i < count; ++i) {
       few.points.emplace_back(1.0F, 1.0F, 0.3F * static_cast<float>(i));
     }
-    const PipelineResult result = phenotypeCloud(few, Parameters());
+    const PipelineResult result = phenotypeCloud(few, smallTiles());
     EXPECT_TRUE(result.plants.empty()) << count << " points";
     ASSERT_EQ(result.labels.size(), count);
   }
@@ -236,14 +243,14 @@ TEST(Pipeline, EmptyNanAndSinglePointClouds) {
 
 TEST(Pipeline, NanPointsAmongOthersChangeNothing) {
   const Scene& scene = borderField();
-  const PipelineResult clean = phenotypeCloud(scene.cloud, Parameters());
+  const PipelineResult clean = phenotypeCloud(scene.cloud, smallTiles());
   PointCloud mixed;
   const float infinity = std::numeric_limits<float>::infinity();
   for (std::size_t i = 0; i < scene.cloud.size(); ++i) {
     mixed.points.push_back(scene.cloud.points[i]);
     mixed.points.emplace_back(std::nanf(""), 0.5F, -infinity);
   }
-  const PipelineResult result = phenotypeCloud(mixed, Parameters());
+  const PipelineResult result = phenotypeCloud(mixed, smallTiles());
   ASSERT_EQ(result.labels.size(), mixed.size());
   ASSERT_EQ(result.plants.size(), clean.plants.size());
   for (std::size_t i = 0; i < scene.cloud.size(); ++i) {
@@ -267,7 +274,7 @@ TEST(Pipeline, AStrayPointCostsOnlyItself) {
       PointCloud cloud = scene.cloud;
       cloud.points.insert(first ? cloud.points.begin() : cloud.points.end(), stray);
       PipelineResult result;
-      ASSERT_NO_THROW(result = phenotypeCloud(cloud, Parameters()))
+      ASSERT_NO_THROW(result = phenotypeCloud(cloud, smallTiles()))
           << stray.transpose() << (first ? " first" : " last");
       ASSERT_EQ(result.labels.size(), cloud.size());
       EXPECT_EQ(result.plants.size(), 1U) << stray.transpose() << (first ? " first" : " last");
@@ -280,7 +287,7 @@ TEST(Pipeline, BareSoilHasNoPlants) {
   for (const double degrees : {0.0, 8.0}) {
     Scene scene(testing::slopingSoil(degrees), 2U);
     scene.addSoil({-2.0, -2.0}, {4.0, 4.0}, 2500.0, 0.008);
-    const PipelineResult result = phenotypeCloud(scene.cloud, Parameters());
+    const PipelineResult result = phenotypeCloud(scene.cloud, smallTiles());
     EXPECT_TRUE(result.plants.empty());
     for (const PointLabel& label : result.labels) ASSERT_EQ(label.plant_id, -1);
   }
@@ -293,7 +300,7 @@ TEST(Pipeline, SoilCroppedAwayIsSaid) {
     plant.base = {x, 1.0};
     scene.addPlant(plant);
   }
-  const PipelineResult result = phenotypeCloud(scene.cloud, Parameters());
+  const PipelineResult result = phenotypeCloud(scene.cloud, smallTiles());
   EXPECT_EQ(matchBases(testing::basesOf(scene), basesOf(result)).pairs.size(), 3U);
   EXPECT_EQ(result.plants.size(), 3U);
   EXPECT_EQ(result.blocks_without_soil, result.blocks.size());
@@ -322,7 +329,7 @@ TEST(Pipeline, RangeIsNotCutFromAnAccumulatedCloud) {
   PlantTruth plant;
   plant.base = {101.0, 101.0};
   scene.addPlant(plant);
-  EXPECT_EQ(phenotypeCloud(scene.cloud, Parameters()).plants.size(), 1U);
+  EXPECT_EQ(phenotypeCloud(scene.cloud, smallTiles()).plants.size(), 1U);
   // The crop box holds.
   Parameters cropped;
   cropped.preprocessing.max_x = 100.5;
@@ -333,7 +340,7 @@ TEST(Pipeline, ReportsProgressAndTimes) {
   const Scene& scene = borderField();
   std::vector<double> shares;
   const PipelineResult result =
-      phenotypeCloud(scene.cloud, Parameters(), [&](double share) { shares.push_back(share); });
+      phenotypeCloud(scene.cloud, smallTiles(), [&](double share) { shares.push_back(share); });
   ASSERT_FALSE(shares.empty());
   EXPECT_TRUE(std::is_sorted(shares.begin(), shares.end()));
   EXPECT_GT(shares.front(), 0.0);
@@ -361,7 +368,7 @@ std::string complaintAbout(const Parameters& parameters) {
 }
 
 TEST(Parameters, DefaultsAreValid) {
-  EXPECT_EQ(checkParameters(Parameters()), "");
+  EXPECT_EQ(checkParameters(smallTiles()), "");
 }
 
 TEST(Parameters, EachIsNamedWhenOutOfRange) {

@@ -24,6 +24,7 @@ PreprocessingParameters unlimitedRange() {
   PreprocessingParameters parameters;
   parameters.min_range = 0.0;
   parameters.max_range = 1000.0;
+  parameters.block_size = 2.0;
   return parameters;
 }
 

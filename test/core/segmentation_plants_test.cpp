@@ -546,8 +546,8 @@ TEST_F(Organs, GapsAreBridgedUpToTheReach) {
   const IndexSpan torn = addRibbon({-0.15F, 0.0F, 0.755F}, {-0.10F, 0.0F, 0.81F});
   assign(0.10);
   EXPECT_EQ(shareOf(torn, 0), 1.0) << "7 cm are bridged with a reach of 10 cm";
-  assign(0.05);
-  EXPECT_EQ(shareOf(torn, -1), 1.0) << "but not with 5 cm";
+  assign(0.04);
+  EXPECT_EQ(shareOf(torn, -1), 1.0) << "but not with 4 cm, which is 6.4 cm straight on";
 }
 
 TEST_F(Organs, WhatNoStemReachesIsNobodys) {
