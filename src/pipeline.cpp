@@ -102,8 +102,9 @@ struct Tiling {
   Eigen::Vector2d corner;  // of tile (0, 0) [m], in the map frame
 };
 
-/// Margins are worked twice or more: tiles begin where fewest cover the cloud, and are up to half
-/// as wide again as asked for where that leaves less to work.
+/// Margins are worked by all tiles that they lie in: tiles begin where fewest cover the cloud, and
+/// are up to half as wide again as asked for where that leaves less to work. There are no scans to
+/// wait for.
 Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& parameters) {
   const Eigen::Array2d least(parameters.min_x, parameters.min_y);
   const Eigen::Array2d most(parameters.max_x, parameters.max_y);
@@ -120,8 +121,7 @@ Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& paramet
   const Eigen::Array2d extent = high - low;
   const auto tilesOf = [&](double edge) -> Eigen::Array2d { return (extent / edge).floor() + 1.0; };
   const auto workOf = [&](double edge) {
-    const double worked = edge + 2.0 * parameters.block_margin;
-    return tilesOf(edge).prod() * worked * worked;
+    return (extent + 2.0 * parameters.block_margin * (tilesOf(edge) - 1.0)).prod();
   };
   constexpr int kSteps = 10;
   constexpr double kWidest = 1.5;  // of what is asked for

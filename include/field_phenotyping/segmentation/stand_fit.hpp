@@ -1,0 +1,21 @@
+#pragma once
+
+#include <vector>
+
+#include "field_phenotyping/parameters.hpp"
+#include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/stem_growth.hpp"
+#include "field_phenotyping/segmentation/stem_verification.hpp"
+
+namespace field_phenotyping {
+
+/// Fits the stems of a stand once they are found: where their surfaces are and where they end, each
+/// of which shows the other, and of which the stems tell one another. Seedlings are fitted anew,
+/// and two that come to one stem are one.
+/// @param plant_height about how high the plants are [m]
+/// Thread-safe; deterministic.
+std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& selection,
+                                float plant_height, std::vector<GrownStem> stems,
+                                const SegmentationParameters& parameters);
+
+}  // namespace field_phenotyping

@@ -1,0 +1,34 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "field_phenotyping/parameters.hpp"
+#include "field_phenotyping/preprocessing/block.hpp"
+#include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/stem_growth.hpp"
+#include "field_phenotyping/segmentation/stem_verification.hpp"
+
+namespace field_phenotyping {
+
+constexpr float kStemSurroundings = 2.5F;  ///< max_stem_radius: points this near may tell of a stem
+constexpr float kBeyondEnd = 0.2F;  ///< of a plant's height, that a stem may go on above its end
+
+/// Finds the stems of a block (paper 2.4.1, Step 1, start points without hands): candidates grow
+/// from start points, those that are stems are kept, and what these show of the stand (lean, rows)
+/// helps to find more, and to carry those down whose feet are hidden. In order of x, then y.
+/// @param plant_height about how high the block's plants are [m]
+/// Thread-safe; deterministic.
+std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
+                                 const StemSelection& selection, float plant_height,
+                                 const SegmentationParameters& parameters);
+
+/// Those of the candidates that are stems.
+std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<GrownStem> grown);
+
+std::vector<StemAxis> axesOf(const std::vector<GrownStem>& stems);
+
+/// Where an axis meets the soil [m], in the block's local frame.
+Eigen::Vector2d baseOf(const Block& block, const StemAxis& axis);
+
+}  // namespace field_phenotyping

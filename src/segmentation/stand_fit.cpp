@@ -1,0 +1,139 @@
+#include "field_phenotyping/segmentation/stand_fit.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+#include <utility>
+
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/segmentation/midline.hpp"
+#include "field_phenotyping/segmentation/midline_refinement.hpp"
+#include "field_phenotyping/segmentation/stand_length.hpp"
+#include "field_phenotyping/segmentation/stem_search.hpp"
+#include "field_phenotyping/segmentation/stem_top.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr float kSeedling = 0.7F;  // [m] lower than plants whose stems have grown out of the whorl
+
+/// Where a stem of that stand ends; its axis has been cut where it alone shows an end.
+Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLength& stand,
+                      float max_radius, float plant_height) {
+  constexpr float kSpreads = 2.0F;
+  const StemAxis& axis = midline.axis;
+  const float longest =
+      std::max(axis.length() + kBeyondEnd * plant_height,
+               static_cast<float>(stand.typical) + kSpreads * static_cast<float>(stand.spread));
+  Midline longer = midline;
+  longer.axis = axis.extendedBy(longest - axis.length());
+  const std::vector<std::uint32_t> around =
+      pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
+  midline.axis = longer.axis.below(findStemTop(scene.points, around, longer, stand));
+  return midline;
+}
+
+/// How far along a stem's axis the canopy reaches there [m].
+double canopyAlong(const GrowthScene& scene, const StemAxis& axis, float plant_height) {
+  constexpr float kCanopy = 0.10F;    // [m] half of what plants stand apart
+  constexpr float kHighest = 2.0F;    // plant_height
+  constexpr std::size_t kStray = 4U;  // points above it
+  const StemAxis whole = axis.extendedBy(std::max(kHighest * plant_height - axis.length(), 0.0F));
+  std::vector<float> along;
+  for (const std::uint32_t i : pointsAround(scene, whole, kCanopy)) {
+    along.push_back(whole.project(scene.points[i]).arc_length);
+  }
+  if (along.size() <= kStray) return static_cast<double>(axis.length());
+  const auto high = along.begin() + kStray;
+  std::nth_element(along.begin(), high, along.end(), std::greater<>());
+  return static_cast<double>(std::max(*high, axis.length()));
+}
+
+/// Lets the stems learn from one another where they end.
+void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
+              std::vector<GrownStem>& stems) {
+  std::vector<double> lengths(stems.size());
+  std::vector<double> heights(stems.size());
+  parallelFor(stems.size(), [&](std::size_t s) {
+    lengths[s] = static_cast<double>(stems[s].midline.axis.length());
+    heights[s] = canopyAlong(scene, stems[s].midline.axis, plant_height);
+  });
+  const std::vector<StandLength> stands = standLengths(lengths, heights);
+  parallelFor(stems.size(), [&](std::size_t s) {
+    if (!stands[s].known()) return;
+    stems[s].midline =
+        withLikelyEnd(scene, std::move(stems[s].midline), stands[s], max_radius, plant_height);
+  });
+}
+
+/// Where the stems' surfaces are, once their ends are about known.
+void refineMidlines(const GrowthScene& scene, float max_radius, float plant_height, double widened,
+                    std::vector<GrownStem>& stems) {
+  parallelFor(stems.size(), [&](std::size_t s) {
+    Midline& midline = stems[s].midline;
+    midline = refineMidline(scene.points,
+                            pointsAround(scene, midline.axis, kStemSurroundings * max_radius),
+                            midline, plant_height, widened);
+  });
+}
+
+/// Fits the midlines of seedlings anew, now that it is known where they end: the leaves above are
+/// many, and bend the axes their way. Two that come to one stem are one.
+std::vector<GrownStem> refitSeedlings(const GrowthScene& scene, const StemSelection& selection,
+                                      float plant_height, std::vector<GrownStem> stems,
+                                      const SegmentationParameters& parameters) {
+  if (plant_height > kSeedling) return stems;
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  parallelFor(stems.size(), [&](std::size_t s) {
+    const StemAxis prior = stems[s].midline.axis;
+    stems[s] = growCandidate(
+        scene,
+        fitMidline(scene.points, pointsAround(scene, prior, kStemSurroundings * max_radius), prior,
+                   max_radius, plant_height),
+        parameters);
+  });
+  return onlyStems(selection, std::move(stems));
+}
+
+/// Draws the slopes of seedlings' axes towards what the stand's lean makes likely. Few points show
+/// the upper half of so short a stem, and many leaves there pull it their way; its foot stands.
+void steadySeedlings(float plant_height, std::vector<GrownStem>& stems) {
+  if (plant_height > kSeedling) return;
+  const StandLean lean = leanOf(axesOf(stems));
+  if (!(lean.scatter > 0.0F)) return;
+  constexpr float kPull = 0.006F;          // [m] by which leaves move the upper end
+  constexpr float kLeastScatter = 0.015F;  // of the true slopes
+  constexpr float kFoot = 0.2F;            // of the length
+  for (GrownStem& stem : stems) {
+    const StemAxis& axis = stem.midline.axis;
+    const Eigen::Vector3f chord = axis.nodes().back().position - axis.nodes().front().position;
+    const float error = kPull / chord.z();
+    const float scatter =
+        std::max(lean.scatter * lean.scatter - error * error, kLeastScatter * kLeastScatter);
+    const float share = error * error / (scatter + error * error);
+    const Eigen::Vector2f change = share * (lean.slope - chord.head<2>() / chord.z());
+    const float foot = axis.nodes().front().position.z() + kFoot * chord.z();
+    std::vector<StemAxis::Node> nodes = axis.nodes();
+    for (StemAxis::Node& node : nodes) {
+      node.position.head<2>() += (node.position.z() - foot) * change;
+    }
+    stem.midline.axis = StemAxis(std::move(nodes));
+  }
+}
+
+}  // namespace
+
+std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& selection,
+                                float plant_height, std::vector<GrownStem> stems,
+                                const SegmentationParameters& parameters) {
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  constexpr double kWidened = 1.2;  // of a midline among leaves
+  refineMidlines(scene, max_radius, plant_height, kWidened, stems);
+  poolEnds(scene, max_radius, plant_height, stems);
+  stems = refitSeedlings(scene, selection, plant_height, std::move(stems), parameters);
+  refineMidlines(scene, max_radius, plant_height, 1.0, stems);
+  steadySeedlings(plant_height, stems);
+  return stems;
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,262 @@
+#include "field_phenotyping/segmentation/stem_search.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+#include <optional>
+#include <utility>
+
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/segmentation/midline.hpp"
+#include "field_phenotyping/segmentation/row_model.hpp"
+#include "field_phenotyping/segmentation/stem_foot.hpp"
+#include "field_phenotyping/segmentation/stem_seeds.hpp"
+#include "field_phenotyping/segmentation/stem_top.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr float kHighSeeds =
+    0.3F;  // of the plants' height: a stem that begins above hides its foot
+
+/// The axis prior that the start points give, carried down to the soil.
+StemAxis axisFromSeeds(const StemSeeds& seeds, const GroundModel& ground, float radius) {
+  std::vector<StemAxis::Node> nodes;
+  for (const Eigen::Vector3f& seed : seeds.points) nodes.push_back({seed, radius});
+  const Eigen::Vector3f low = nodes.front().position;
+  const StemAxis upper(nodes);
+  constexpr float kLever = 0.3F;  // [m] the slope of the lowest stretch carries on downwards
+  const Eigen::Vector3f slope = upper.pointAt(std::min(kLever, upper.length())) - low;
+  const float drop = ground.heightAbove(low);
+  if (drop > 0.01F && slope.z() > 0.0F) {
+    nodes.insert(nodes.begin(), {Eigen::Vector3f(low - drop / slope.z() * slope), radius});
+  }
+  return StemAxis(std::move(nodes));
+}
+
+/// Step 1: the start points give the axis prior, the points round it the midline and where it ends.
+Midline findMidline(const GrowthScene& scene, const StemAxis& prior, float max_radius,
+                    float plant_height) {
+  const std::vector<std::uint32_t> around =
+      pointsAround(scene, prior, kStemSurroundings * max_radius);
+  Midline midline = fitMidline(scene.points, around, prior, max_radius, plant_height);
+  midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
+  // Without the leaves above, the axis points straight up through them, and shows its end better.
+  constexpr float kMostBeyond = 0.25F;  // [m]
+  midline = fitMidline(scene.points, around, midline.axis, max_radius, plant_height);
+  midline.axis = midline.axis.extendedBy(std::min(kMostBeyond, kBeyondEnd * plant_height));
+  midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
+  return midline;
+}
+
+/// What grows from every candidate; candidates that nothing grows from are left out.
+std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
+                                      const GroundModel& ground, float plant_height,
+                                      const SegmentationParameters& parameters) {
+  std::vector<GrownStem> grown(seeds.size());
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  parallelFor(seeds.size(), [&](std::size_t k) {
+    grown[k] = growCandidate(scene,
+                             findMidline(scene, axisFromSeeds(seeds[k], ground, 0.5F * max_radius),
+                                         max_radius, plant_height),
+                             parameters);
+  });
+  grown.erase(std::remove_if(grown.begin(), grown.end(),
+                             [](const GrownStem& stem) { return stem.points.empty(); }),
+              grown.end());
+  return grown;
+}
+
+/// How the stems stand.
+Stand standOf(const Block& block, const std::vector<GrownStem>& stems,
+              const SegmentationParameters& parameters) {
+  Stand stand;
+  stand.lean = leanOf(axesOf(stems));
+  std::vector<PlantPlace> places;
+  for (const GrownStem& stem : stems) {
+    stand.plants.push_back(baseOf(block, stem.midline.axis));
+    places.push_back({stand.plants.back(), 1.0});
+  }
+  stand.rows = RowModel::find(places, {parameters.row_spacing, parameters.plant_spacing});
+  return stand;
+}
+
+/// Carries candidates whose foot is hidden down to the soil anew.
+void settleFeet(const GrowthScene& scene, const Block& block, Stand stand,
+                const SegmentationParameters& parameters, std::vector<GrownStem>& candidates) {
+  stand.plants.clear();  // the candidates may be among them
+  parallelFor(candidates.size(), [&](std::size_t c) {
+    Midline midline = candidates[c].midline;
+    std::optional<SettledFoot> foot = settleFoot(block, scene.grid, midline, stand);
+    if (!foot) return;
+    midline.axis = std::move(foot->axis);
+    midline.hidden = foot->hidden;
+    GrownStem settled = growCandidate(scene, std::move(midline), parameters);
+    if (!settled.points.empty()) candidates[c] = std::move(settled);
+  });
+}
+
+bool beginsHigh(const StemSeeds& seeds, const GroundModel& ground, float plant_height) {
+  return ground.heightAbove(seeds.points.front()) > kHighSeeds * plant_height;
+}
+
+/// The midline along an axis that is known within millimetres.
+Midline midlineAlong(const GrowthScene& scene, const StemAxis& axis, float plant_height,
+                     const SegmentationParameters& parameters) {
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  return followMidline(scene.points, pointsAround(scene, axis, kStemSurroundings * max_radius),
+                       axis, max_radius, plant_height);
+}
+
+/// What grows from start points high up, of stems that are none of `known`: a line through them,
+/// carried down to the soil as the stand stands. A free fit would follow the leaves below.
+std::vector<GrownStem> growHanging(const GrowthScene& scene, const Block& block,
+                                   const std::vector<StemSeeds>& seeds, const Stand& stand,
+                                   const std::vector<GrownStem>& known, float plant_height,
+                                   const SegmentationParameters& parameters) {
+  if (!stand.lean.known()) return {};
+  std::vector<GrownStem> grown(seeds.size());
+  const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  parallelFor(seeds.size(), [&](std::size_t k) {
+    const std::vector<Eigen::Vector3f>& points = seeds[k].points;
+    if (!beginsHigh(seeds[k], block.ground, plant_height)) return;
+    const bool is_known = std::any_of(known.begin(), known.end(), [&](const GrownStem& stem) {
+      const auto near = std::count_if(points.begin(), points.end(), [&](const auto& point) {
+        return stem.midline.axis.project(point).distance < max_radius;
+      });
+      return 2 * static_cast<std::size_t>(near) > points.size();
+    });
+    if (is_known) return;
+    std::vector<StemAxis::Node> nodes;
+    for (const Eigen::Vector3f& point : points) nodes.push_back({point, 0.5F * max_radius});
+    const std::optional<SettledFoot> settled = settleFoot(
+        block, scene.grid,
+        midlineAlong(scene, StemAxis(std::move(nodes)), plant_height, parameters), stand);
+    if (!settled) return;
+    Midline midline = midlineAlong(scene, settled->axis, plant_height, parameters);
+    midline.hidden = settled->hidden;
+    midline.axis = midline.axis.below(findStemTop(
+        scene.points, pointsAround(scene, midline.axis, kStemSurroundings * max_radius), midline));
+    grown[k] = growCandidate(scene, std::move(midline), parameters);
+  });
+  grown.erase(std::remove_if(grown.begin(), grown.end(),
+                             [](const GrownStem& stem) { return stem.points.empty(); }),
+              grown.end());
+  return grown;
+}
+
+/// Moves the foot of a stem; what is seen of it stays.
+void moveFoot(Midline& midline, const Eigen::Vector2f& by) {
+  std::vector<StemAxis::Node> nodes = midline.axis.nodes();
+  float s = 0.0F;
+  for (std::size_t k = 0; k < nodes.size() && s < midline.hidden; ++k) {
+    nodes[k].position.head<2>() += (1.0F - s / midline.hidden) * by;
+    if (k + 1U < nodes.size()) {
+      s += (midline.axis.nodes()[k + 1U].position - midline.axis.nodes()[k].position).norm();
+    }
+  }
+  midline.axis = StemAxis(std::move(nodes));
+}
+
+/// Settles the feet that are guessed once more, now that all their neighbours are known.
+void settleAmongNeighbors(const GrowthScene& scene, const Block& block,
+                          const SegmentationParameters& parameters, std::vector<GrownStem>& stems) {
+  Stand stand = standOf(block, stems, parameters);
+  std::vector<Eigen::Vector2d> bases = stand.plants;
+  for (std::size_t s = 0; s < stems.size(); ++s) {
+    if (!(stems[s].midline.hidden > 0.0F)) continue;
+    stand.plants = bases;
+    stand.plants.erase(stand.plants.begin() + static_cast<std::ptrdiff_t>(s));
+    const std::optional<SettledFoot> settled =
+        settleFoot(block, scene.grid, stems[s].midline, stand);
+    if (!settled) continue;
+    const Eigen::Vector2d base = baseOf(block, settled->axis);
+    moveFoot(stems[s].midline, (base - bases[s]).cast<float>());
+    bases[s] = base;
+  }
+}
+
+/// Points so near to a stem that no other one can begin there.
+std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
+                                          const std::vector<GrownStem>& stems) {
+  std::vector<std::uint8_t> explained(scene.points.size(), 0U);
+  constexpr float kStep = 0.02F;  // [m]
+  constexpr float kReach = 3.0F;  // standard deviations beyond the surface
+  for (const GrownStem& stem : stems) {
+    const StemAxis& axis = stem.midline.axis;
+    for (float s = 0.0F; s <= axis.length(); s += kStep) {
+      const float reach = axis.radiusAt(s) + kReach * stem.midline.spread;
+      scene.grid.forEachWithin(axis.pointAt(s), std::hypot(reach, 0.5F * kStep),
+                               [&](std::uint32_t i, float) { explained[i] = 1U; });
+    }
+  }
+  return explained;
+}
+
+}  // namespace
+
+std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<GrownStem> grown) {
+  std::vector<StemCandidate> candidates;
+  for (const GrownStem& stem : grown) candidates.push_back({stem.midline, stem.points});
+  std::vector<GrownStem> stems;
+  for (const std::size_t k : selection.stemsAmong(candidates)) {
+    stems.push_back(std::move(grown[k]));
+  }
+  return stems;
+}
+
+std::vector<StemAxis> axesOf(const std::vector<GrownStem>& stems) {
+  std::vector<StemAxis> axes;
+  for (const GrownStem& stem : stems) axes.push_back(stem.midline.axis);
+  return axes;
+}
+
+Eigen::Vector2d baseOf(const Block& block, const StemAxis& axis) {
+  const Eigen::Vector3f low = axis.nodes().front().position;
+  const Eigen::Vector3f base = axis.pointAtHeight(block.ground.heightAt(low.x(), low.y()));
+  return base.head<2>().cast<double>();
+}
+
+std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
+                                 const StemSelection& selection, float plant_height,
+                                 const SegmentationParameters& parameters) {
+  // What grows from the start points shows which are stems', and those how the stand stands.
+  const std::vector<LocalShape>& shapes = scene.shapes;
+  const std::vector<float> upright = uprightWeights(block, scene.grid, shapes, parameters);
+  std::vector<StemSeeds> seeds =
+      findStemSeeds(block, shapes, upright, parameters, SeedEvidence::kUpright);
+  std::vector<GrownStem> stems =
+      growCandidates(scene, seeds, block.ground, plant_height, parameters);
+  Stand stand = standOf(block, onlyStems(selection, stems), parameters);
+  settleFeet(scene, block, stand, parameters, stems);
+  stems = onlyStems(selection, std::move(stems));
+  const auto select = [&](std::vector<GrownStem> more) {
+    std::move(more.begin(), more.end(), std::back_inserter(stems));
+    stems = onlyStems(selection, std::move(stems));
+    stand = standOf(block, stems, parameters);
+  };
+  stand = standOf(block, stems, parameters);
+  select(growHanging(scene, block, seeds, stand, stems, plant_height, parameters));
+  // Again where nothing was found, knowing the stand, then with other evidence.
+  for (const SeedEvidence evidence : {SeedEvidence::kUpright, SeedEvidence::kDensity}) {
+    const std::size_t most = 8U + stems.size();  // few are missing where many were found
+    seeds = findStemSeeds(block, shapes, upright, parameters, evidence, stand.lean,
+                          explainedPoints(scene, stems), most);
+    std::vector<GrownStem> more =
+        growHanging(scene, block, seeds, stand, stems, plant_height, parameters);
+    std::vector<GrownStem> free =
+        growCandidates(scene, seeds, block.ground, plant_height, parameters);
+    settleFeet(scene, block, stand, parameters, free);
+    std::move(free.begin(), free.end(), std::back_inserter(more));
+    select(std::move(more));
+  }
+  settleAmongNeighbors(scene, block, parameters, stems);
+  std::sort(stems.begin(), stems.end(), [](const GrownStem& a, const GrownStem& b) {
+    const Eigen::Vector3f low_a = a.midline.axis.nodes().front().position;
+    const Eigen::Vector3f low_b = b.midline.axis.nodes().front().position;
+    return low_a.x() != low_b.x() ? low_a.x() < low_b.x() : low_a.y() < low_b.y();
+  });
+  return stems;
+}
+
+}  // namespace field_phenotyping
