@@ -23,7 +23,7 @@ class SurfaceFit {
   SurfaceFit(std::vector<Sample> samples, StemCurve start, double typical_radius, double spread)
       : samples_(std::move(samples)),
         curve_(std::move(start)),
-        length_(curve_.spacing * static_cast<double>(curve_.centers.size() - 1U)),
+        length_(curve_.length()),
         spread_(std::max(spread, kMinSpread)),
         most_spread_(spread_),
         typical_radius_(typical_radius) {

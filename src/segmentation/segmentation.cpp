@@ -13,6 +13,7 @@
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/stand_fit.hpp"
+#include "field_phenotyping/segmentation/stem_foot.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "field_phenotyping/segmentation/stem_search.hpp"
 #include "field_phenotyping/segmentation/stem_verification.hpp"
@@ -92,7 +93,8 @@ std::vector<bool> findTillers(const GrowthScene& scene, const Block& block,
   }
   const float low = kLow * medianOf(heights);
   std::vector<Eigen::Vector2d> bases;
-  for (const GrownStem& stem : stems) bases.push_back(baseOf(block, stem.midline.axis));
+  for (const GrownStem& stem : stems)
+    bases.push_back(baseOf(block, stem.midline.axis).head<2>().cast<double>());
   std::vector<double> nearest(stems.size(), std::numeric_limits<double>::infinity());
   std::vector<double> spacings;
   for (std::size_t s = 0; s < stems.size(); ++s) {
@@ -141,8 +143,7 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
     plant.stem = append(groups[kGroups * s]);
     plant.points = {plant.stem.begin, append(groups[kGroups * s + 1U]).end};
     plant.axis = stems[s].midline.axis;
-    const Eigen::Vector3f low = plant.axis.nodes().front().position;
-    plant.base = plant.axis.pointAtHeight(block.ground.heightAt(low.x(), low.y()));
+    plant.base = baseOf(block, plant.axis);
     const Eigen::Vector3d base = block.cloud.origin + plant.base.cast<double>();
     plant.owned = block.header.holds(base.x(), base.y(), PlantRegistry::kBorderTolerance);
     plant.growth = stems[s].growth;
@@ -216,9 +217,13 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   });
 
   // Every other organ to its plant.
-  std::vector<std::int32_t> stem_owner = resolveOwners(scene, stems);
-  std::vector<std::int32_t> plant_owner =
-      assignOrgans(block, axesOf(stems), stem_owner, parameters);
+  std::vector<std::int32_t> stem_owner;
+  std::vector<std::int32_t> plant_owner;
+  const auto giveToPlants = [&] {
+    stem_owner = resolveOwners(scene, stems);
+    plant_owner = assignOrgans(block, axesOf(stems), stem_owner, parameters);
+  };
+  giveToPlants();
   const std::vector<bool> tillers = findTillers(scene, block, stems, plant_owner);
   if (std::find(tillers.begin(), tillers.end(), true) != tillers.end()) {
     std::vector<GrownStem> plants;
@@ -226,8 +231,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
       if (!tillers[s]) plants.push_back(std::move(stems[s]));
     }
     stems = std::move(plants);
-    stem_owner = resolveOwners(scene, stems);
-    plant_owner = assignOrgans(block, axesOf(stems), stem_owner, parameters);
+    giveToPlants();
   }
   return assemble(block, stems, stem_owner, plant_owner);
 }

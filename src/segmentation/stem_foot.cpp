@@ -47,6 +47,11 @@ bool footIsSeen(const Sight& sight) {
 
 }  // namespace
 
+Eigen::Vector3f baseOf(const Block& block, const StemAxis& axis) {
+  const Eigen::Vector3f low = axis.nodes().front().position;
+  return axis.pointAtHeight(block.ground.heightAt(low.x(), low.y()));
+}
+
 std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& grid,
                                       const Midline& midline, const Stand& stand) {
   const StandLean& lean = stand.lean;

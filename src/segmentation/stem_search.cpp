@@ -49,6 +49,14 @@ Midline findMidline(const GrowthScene& scene, const StemAxis& prior, float max_r
   return midline;
 }
 
+/// Leaves out what nothing grew from.
+std::vector<GrownStem> withPoints(std::vector<GrownStem> grown) {
+  grown.erase(std::remove_if(grown.begin(), grown.end(),
+                             [](const GrownStem& stem) { return stem.points.empty(); }),
+              grown.end());
+  return grown;
+}
+
 /// What grows from every candidate; candidates that nothing grows from are left out.
 std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
                                       const GroundModel& ground, float plant_height,
@@ -61,10 +69,7 @@ std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vecto
                                          max_radius, plant_height),
                              parameters);
   });
-  grown.erase(std::remove_if(grown.begin(), grown.end(),
-                             [](const GrownStem& stem) { return stem.points.empty(); }),
-              grown.end());
-  return grown;
+  return withPoints(std::move(grown));
 }
 
 /// How the stems stand.
@@ -74,7 +79,7 @@ Stand standOf(const Block& block, const std::vector<GrownStem>& stems,
   stand.lean = leanOf(axesOf(stems));
   std::vector<PlantPlace> places;
   for (const GrownStem& stem : stems) {
-    stand.plants.push_back(baseOf(block, stem.midline.axis));
+    stand.plants.push_back(baseOf(block, stem.midline.axis).head<2>().cast<double>());
     places.push_back({stand.plants.back(), 1.0});
   }
   stand.rows = RowModel::find(places, {parameters.row_spacing, parameters.plant_spacing});
@@ -139,10 +144,7 @@ std::vector<GrownStem> growHanging(const GrowthScene& scene, const Block& block,
         scene.points, pointsAround(scene, midline.axis, kStemSurroundings * max_radius), midline));
     grown[k] = growCandidate(scene, std::move(midline), parameters);
   });
-  grown.erase(std::remove_if(grown.begin(), grown.end(),
-                             [](const GrownStem& stem) { return stem.points.empty(); }),
-              grown.end());
-  return grown;
+  return withPoints(std::move(grown));
 }
 
 /// Moves the foot of a stem; what is seen of it stays.
@@ -170,7 +172,7 @@ void settleAmongNeighbors(const GrowthScene& scene, const Block& block,
     const std::optional<SettledFoot> settled =
         settleFoot(block, scene.grid, stems[s].midline, stand);
     if (!settled) continue;
-    const Eigen::Vector2d base = baseOf(block, settled->axis);
+    const Eigen::Vector2d base = baseOf(block, settled->axis).head<2>().cast<double>();
     moveFoot(stems[s].midline, (base - bases[s]).cast<float>());
     bases[s] = base;
   }
@@ -209,12 +211,6 @@ std::vector<StemAxis> axesOf(const std::vector<GrownStem>& stems) {
   std::vector<StemAxis> axes;
   for (const GrownStem& stem : stems) axes.push_back(stem.midline.axis);
   return axes;
-}
-
-Eigen::Vector2d baseOf(const Block& block, const StemAxis& axis) {
-  const Eigen::Vector3f low = axis.nodes().front().position;
-  const Eigen::Vector3f base = axis.pointAtHeight(block.ground.heightAt(low.x(), low.y()));
-  return base.head<2>().cast<double>();
 }
 
 std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,

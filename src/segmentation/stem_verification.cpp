@@ -9,6 +9,7 @@
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/segmentation/row_model.hpp"
+#include "field_phenotyping/segmentation/stem_foot.hpp"
 #include "field_phenotyping/segmentation/stem_sight.hpp"
 
 namespace field_phenotyping {
@@ -78,11 +79,6 @@ float bandHeight(const std::vector<StemCandidate>& candidates) {
   }
   if (densities.empty()) return kShortest;
   return std::clamp(kPoints / medianOf(std::move(densities)), kShortest, kLongest);
-}
-
-Eigen::Vector3f baseOf(const Block& block, const StemCandidate& stem) {
-  const Eigen::Vector3f low = stem.midline.axis.nodes().front().position;
-  return stem.midline.axis.pointAtHeight(block.ground.heightAt(low.x(), low.y()));
 }
 
 /// Whether two candidates stand too near to one another to be two plants: nearer than plants at the
@@ -301,7 +297,7 @@ std::vector<std::size_t> StemSelection::stemsAmong(
   std::vector<float> merits;
   std::vector<Eigen::Vector3f> bases;
   for (const StemCandidate& stem : candidates) {
-    bases.push_back(baseOf(block_, stem));
+    bases.push_back(baseOf(block_, stem.midline.axis));
     constexpr float kLowestCanopy = 0.1F;  // [m]
     const float height =
         std::max({canopy_.heightAround(bases.back()),

@@ -25,6 +25,9 @@ struct SettledFoot {
   float hidden = 0.0F;  ///< of Midline
 };
 
+/// Where an axis meets the soil [m], in the block's local frame. Thread-safe.
+Eigen::Vector3f baseOf(const Block& block, const StemAxis& axis);
+
 /// Axis of a stem whose foot the canopy hides, carried down to the soil anew.
 ///
 /// Where only the top of a stem is seen well, leaves turn the midline by a few degrees, and its

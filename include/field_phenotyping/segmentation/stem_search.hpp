@@ -1,6 +1,5 @@
 #pragma once
 
-#include <Eigen/Core>
 #include <vector>
 
 #include "field_phenotyping/parameters.hpp"
@@ -27,8 +26,5 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
 std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<GrownStem> grown);
 
 std::vector<StemAxis> axesOf(const std::vector<GrownStem>& stems);
-
-/// Where an axis meets the soil [m], in the block's local frame.
-Eigen::Vector2d baseOf(const Block& block, const StemAxis& axis);
 
 }  // namespace field_phenotyping
