@@ -53,8 +53,11 @@ PlantHeight measurePlantHeight(const SegmentedBlock& block, const Plant& plant,
   const double top_z = top.z + (paper ? 0.0 : top.spacing);
   if (soil) {
     result.height.value = top_z - block.ground.heightAt(plant.base.x(), plant.base.y());
-    result.height.stddev =
-        std::hypot(top.spacing, block.ground.stddevAt(plant.base.x(), plant.base.y()));
+    // Between the plants soil looks smoother than it is known under one.
+    constexpr float kLeastSoilError = 0.008F;  // [m]
+    const float soil_error =
+        std::max(block.ground.stddevAt(plant.base.x(), plant.base.y()), kLeastSoilError);
+    result.height.stddev = std::hypot(top.spacing, soil_error);
   } else {
     const End bottom = endOf(heights, std::less<float>());
     result.height.value = top_z - bottom.z + (paper ? 0.0 : bottom.spacing);
