@@ -72,7 +72,7 @@ float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midli
   // Nothing but the stem itself lies within.
   const float scale = std::hypot(midline.spread, 0.07F * at.radius);
   const float away = std::max(at.distance - at.radius, 0.0F) / scale;
-  constexpr float kSoftness = 0.28F;  // similarity 0.5 at one and a half standard deviations
+  constexpr float kSoftness = 0.15F;  // similarity 0.5 at two standard deviations
   const float on_surface = std::exp(-kSoftness * away * away);
 
   const float across = 1.0F - std::abs(shape.normal.dot(at.direction));
@@ -84,12 +84,15 @@ float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midli
   return on_surface * (kSurface + kAcross * across + kAlong * along);
 }
 
-StemScene::StemScene(const GrowthScene& scene, Midline midline)
-    : cloud_(scene), midline_(std::move(midline)) {}
+StemScene::StemScene(const GrowthScene& scene, Midline midline, LeafBases leaf_bases)
+    : cloud_(scene), midline_(std::move(midline)), leaf_bases_(std::move(leaf_bases)) {}
 
 float StemScene::similarityOf(std::uint32_t i) const {
   const auto [known, is_new] = known_.tryEmplace(i, 0.0F);
-  if (is_new) *known = similarity(cloud_, i, midline_);
+  if (is_new) {
+    *known = similarity(cloud_, i, midline_) *
+             (1.0F - leaf_bases_.leafShare(cloud_.points[i], midline_.axis));
+  }
   return *known;
 }
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
 #include "field_phenotyping/segmentation/midline_refinement.hpp"
 #include "field_phenotyping/segmentation/stand_length.hpp"
@@ -59,21 +60,42 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
     heights[s] = canopyAlong(scene, stems[s].midline.axis, plant_height);
   });
   const std::vector<StandLength> stands = standLengths(lengths, heights);
+  // Rolled leaves run on where a whorl begins. Where nothing else shows that a stem came out too
+  // long, leaves are believed to stand in its core more densely than beside it.
+  constexpr double kAlone = 2.0;
   parallelFor(stems.size(), [&](std::size_t s) {
-    if (!stands[s].known()) return;
-    stems[s].midline =
-        withLikelyEnd(scene, std::move(stems[s].midline), stands[s], max_radius, plant_height);
+    Midline& midline = stems[s].midline;
+    if (stands[s].known()) {
+      midline = withLikelyEnd(scene, std::move(midline), stands[s], max_radius, plant_height);
+    } else {
+      Midline longer = midline;
+      longer.axis = midline.axis.extendedBy(kBeyondEnd * plant_height);
+      const std::vector<std::uint32_t> around =
+          pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
+      midline.axis = longer.axis.below(findStemTop(scene.points, around, longer, {}, kAlone));
+    }
   });
 }
 
 /// Where the stems' surfaces are, once their ends are about known.
+/// @param leaves_known leave out what the midlines so far show to be leaf bases'
 void refineMidlines(const GrowthScene& scene, float max_radius, float plant_height, double widened,
-                    std::vector<GrownStem>& stems) {
+                    bool leaves_known, std::vector<GrownStem>& stems) {
   parallelFor(stems.size(), [&](std::size_t s) {
     Midline& midline = stems[s].midline;
-    midline = refineMidline(scene.points,
-                            pointsAround(scene, midline.axis, kStemSurroundings * max_radius),
-                            midline, plant_height, widened);
+    std::vector<std::uint32_t> members =
+        pointsAround(scene, midline.axis, kStemSurroundings * max_radius);
+    if (leaves_known) {
+      constexpr float kLeaf = 0.6F;
+      const LeafBases leaf_bases(scene.points, members, midline);
+      members.erase(std::remove_if(members.begin(), members.end(),
+                                   [&](std::uint32_t i) {
+                                     return leaf_bases.leafShare(scene.points[i], midline.axis) >
+                                            kLeaf;
+                                   }),
+                    members.end());
+    }
+    midline = refineMidline(scene.points, members, midline, plant_height, widened);
   });
 }
 
@@ -128,10 +150,10 @@ std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& s
                                 const SegmentationParameters& parameters) {
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   constexpr double kWidened = 1.2;  // of a midline among leaves
-  refineMidlines(scene, max_radius, plant_height, kWidened, stems);
+  refineMidlines(scene, max_radius, plant_height, kWidened, false, stems);
   poolEnds(scene, max_radius, plant_height, stems);
   stems = refitSeedlings(scene, selection, plant_height, std::move(stems), parameters);
-  refineMidlines(scene, max_radius, plant_height, 1.0, stems);
+  refineMidlines(scene, max_radius, plant_height, 1.0, true, stems);
   steadySeedlings(plant_height, stems);
   return stems;
 }

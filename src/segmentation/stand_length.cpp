@@ -76,7 +76,10 @@ StandFit fitStandLength(const std::vector<double>& shown, double relative_spread
   for (int k = 0; k <= kSteps; ++k) {
     const double typical = median * (kLowest + (kHighest - kLowest) * k / kSteps);
     for (const double excess : {0.03, 0.06, 0.1, 0.2, 0.35}) {
-      tryOne({typical, relative_spread * typical, excess * typical, 0.0});
+      // Wider where the ends themselves are uncertain.
+      for (const double wider : {1.0, 1.5}) {
+        tryOne({typical, wider * relative_spread * typical, excess * typical, 0.0});
+      }
     }
   }
   return best;

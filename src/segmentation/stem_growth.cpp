@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "field_phenotyping/segmentation/growth_adaptation.hpp"
+#include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/region_merging.hpp"
 #include "field_phenotyping/segmentation/region_quality.hpp"
 #include "field_phenotyping/segmentation/stem_segments.hpp"
@@ -111,11 +112,12 @@ GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_g
                    const SegmentationParameters& parameters) {
   const GrowthSettings first(parameters);
   const auto target = static_cast<float>(parameters.quality_target);
+  LeafBases leaf_bases(scene.points, pointsAround(scene, midline.axis, LeafBases::reachOf(midline)),
+                       midline);
   const std::vector<StemSegment> segments =
-      splitStem(midline.axis.length(),
-                findBranchings(scene.points, pointsAround(scene, midline.axis, first.r1), midline));
+      splitStem(midline.axis.length(), leaf_bases.arcLengths());
 
-  const StemScene stem_scene(scene, midline);
+  const StemScene stem_scene(scene, midline, std::move(leaf_bases));
   const std::size_t crowd = countCrowd(scene, midline);
   Growth best;
   GrowthSettings best_settings = first;

@@ -43,14 +43,26 @@ double logCount(double count, double mean, double shape) {
          count * std::log(share) + shape * std::log1p(-share);
 }
 
-/// Points in the core of every band; the first begins at `start`.
-std::vector<double> coreCounts(const std::vector<Place>& places, double start, double length,
-                               double band_height) {
-  std::vector<double> counts(
-      static_cast<std::size_t>(std::ceil((length - start) / band_height)) + 1U, 0.0);
+/// Points in the core of every band, and how many leaves as dense as those in the ring just outside
+/// the skin would put there; the first band begins at `start`.
+struct BandCounts {
+  std::vector<double> core;
+  std::vector<double> by_leaves;
+};
+
+BandCounts countBands(const std::vector<Place>& places, double start, double length,
+                      double band_height) {
+  constexpr double kRing = 1.0;  // width of the ring, in radii of the core
+  const auto bands = static_cast<std::size_t>(std::ceil((length - start) / band_height)) + 1U;
+  BandCounts counts{std::vector<double>(bands, 0.0), std::vector<double>(bands, 0.0)};
   for (const Place& place : places) {
-    if (place.distance < place.core && place.arc_length >= start && place.arc_length < length) {
-      counts[static_cast<std::size_t>((place.arc_length - start) / band_height)] += 1.0;
+    if (place.arc_length < start || place.arc_length >= length) continue;
+    const auto band = static_cast<std::size_t>((place.arc_length - start) / band_height);
+    const double outer = place.skin + kRing * place.core;
+    if (place.distance < place.core) {
+      counts.core[band] += 1.0;
+    } else if (place.distance > place.skin && place.distance < outer) {
+      counts.by_leaves[band] += place.core * place.core / (outer * outer - place.skin * place.skin);
     }
   }
   return counts;
@@ -74,20 +86,24 @@ double claspBelow(double occupied, const StemAxis& axis) {
 }
 
 /// Where the axis stops being one: the cut that best parts bands with a stem from bands without.
+/// @param leaf_density of leaves that may stand in the core, to those beside it
 /// @param log_prior of an axis that stops there
 template <typename LogPrior>
-double occupiedLength(const std::vector<Place>& places, double length, const LogPrior& log_prior) {
+double occupiedLength(const std::vector<Place>& places, double length, double leaf_density,
+                      const LogPrior& log_prior) {
   // Bands so high that a stem shows some points in each.
   constexpr double kShortest = 0.05;  // [m], or a share of a short axis
   constexpr double kShare = 0.1;
   constexpr double kHighest = 0.20;
   constexpr double kPoints = 5.0;
-  const double seen = medianSeen(coreCounts(places, 0.0, length, kHighest));
+  const double seen = medianSeen(countBands(places, 0.0, length, kHighest).core);
   if (!(seen > 0.0)) return length;
   const double band_height =
       std::clamp(kHighest * kPoints / seen, std::min(kShortest, kShare * length), kHighest);
-  const double stem_mean = std::max(medianSeen(coreCounts(places, 0.0, length, band_height)), 1.0);
+  const double stem_mean =
+      std::max(medianSeen(countBands(places, 0.0, length, band_height).core), 1.0);
   constexpr double kOtherShare = 0.12;
+  const bool is_dense = seen >= kPoints;  // fewer points say nothing of how leaves stand
   constexpr double kStemShape = 0.8;
   constexpr double kOtherShape = 0.5;
 
@@ -96,11 +112,12 @@ double occupiedLength(const std::vector<Place>& places, double length, const Log
   constexpr int kPhases = 4;  // cuts closer than a band apart
   for (int phase = 0; phase < kPhases; ++phase) {
     const double start = band_height * phase / kPhases;
-    const std::vector<double> counts = coreCounts(places, start, length, band_height);
+    const BandCounts counts = countBands(places, start, length, band_height);
     double sum = 0.0;
-    for (std::size_t k = 0; k < counts.size(); ++k) {
-      sum += logCount(counts[k], stem_mean, kStemShape) -
-             logCount(counts[k], kOtherShare * stem_mean, kOtherShape);
+    for (std::size_t k = 0; k < counts.core.size(); ++k) {
+      const double leaves = is_dense ? leaf_density * counts.by_leaves[k] : 0.0;
+      sum += logCount(counts.core[k], stem_mean + leaves, kStemShape) -
+             logCount(counts.core[k], kOtherShare * stem_mean + leaves, kOtherShape);
       const double cut = start + static_cast<double>(k + 1U) * band_height;
       const double score = sum + log_prior(cut);
       if (score <= best) continue;
@@ -240,12 +257,14 @@ double likelyTasselBase(const std::vector<Place>& places, double occupied,
 }
 
 /// As findStemTop().
-double topAmong(const std::vector<Place>& places, const StemAxis& axis, const StandLength& stand) {
+double topAmong(const std::vector<Place>& places, const StemAxis& axis, double leaf_density,
+                const StandLength& stand) {
   const auto length = static_cast<double>(axis.length());
-  const double occupied = occupiedLength(places, length, [](double) { return 0.0; });
+  const double occupied = occupiedLength(places, length, leaf_density, [](double) { return 0.0; });
   if (opensAsWhorl(places, occupied)) {
-    const double likely = occupiedLength(
-        places, length, [&](double end) { return stand.logPrior(end - claspBelow(end, axis)); });
+    const double likely = occupiedLength(places, length, leaf_density, [&](double end) {
+      return stand.logPrior(end - claspBelow(end, axis));
+    });
     return stand.likelyLength(likely - claspBelow(likely, axis));
   }
   // What a tassel shows clearly needs no stand.
@@ -258,8 +277,9 @@ double topAmong(const std::vector<Place>& places, const StemAxis& axis, const St
 
 float findStemTop(const std::vector<Eigen::Vector3f>& points,
                   const std::vector<std::uint32_t>& members, const Midline& midline,
-                  const StandLength& stand) {
-  return static_cast<float>(topAmong(placesOf(points, members, midline), midline.axis, stand));
+                  const StandLength& stand, double leaf_density) {
+  return static_cast<float>(
+      topAmong(placesOf(points, members, midline), midline.axis, leaf_density, stand));
 }
 
 }  // namespace field_phenotyping

@@ -76,25 +76,6 @@ class Cloud {
 
 // ---------------------------------------------------------------------------- segments (3.1.2)
 
-TEST(StemSegments, FindsWhereLeavesLeave) {
-  for (const float height : {0.35F, 0.62F, 0.9F}) {
-    Points points;
-    addStem(points, 0.0F, 1.2F, 3000U, 3U);
-    addLeaf(points, height, 4U);
-    const std::vector<float> found = findBranchings(points, allOf(points), uprightMidline(1.2F));
-    ASSERT_FALSE(found.empty()) << height;
-    EXPECT_TRUE(std::is_sorted(found.begin(), found.end()));
-    for (const float at : found) EXPECT_NEAR(at, height, 0.05F);
-  }
-}
-
-TEST(StemSegments, BareStemHasNoBranching) {
-  Points points;
-  addStem(points, 0.0F, 1.2F, 3000U, 5U);
-  EXPECT_TRUE(findBranchings(points, allOf(points), uprightMidline(1.2F)).empty());
-  EXPECT_TRUE(findBranchings({}, {}, uprightMidline(1.2F)).empty());
-}
-
 TEST(StemSegments, CoverTheStemWithoutGapOrOverlap) {
   for (const std::vector<float>& branchings :
        {std::vector<float>{}, {0.3F}, {0.0F, 1.0F}, {0.3F, 0.31F, 0.32F, 0.8F}, {0.005F, 0.999F}}) {

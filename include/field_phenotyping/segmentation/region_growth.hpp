@@ -6,6 +6,7 @@
 #include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/parameters.hpp"
+#include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
 
@@ -46,19 +47,21 @@ std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis
 /// surface, normal across the axis, upright shape. Compared with M.
 float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midline);
 
-/// The cloud with one stem's midline in it. Remembers how alike the points are to that stem: the
-/// spheres of its growth overlap, and it is grown again and again. Not thread-safe.
+/// The cloud with one stem's midline in it, and where leaves leave it, as far as that is known.
+/// Remembers how alike the points are to that stem: the spheres of its growth overlap, and it is
+/// grown again and again. Not thread-safe.
 class StemScene {
  public:
-  StemScene(const GrowthScene& scene, Midline midline);
+  StemScene(const GrowthScene& scene, Midline midline, LeafBases leaf_bases = {});
   const GrowthScene& cloud() const { return cloud_; }
   const Midline& midline() const { return midline_; }
-  /// As similarity().
+  /// As similarity(), times the probability that the point is no leaf base's.
   float similarityOf(std::uint32_t i) const;
 
  private:
   GrowthScene cloud_;
   Midline midline_;
+  LeafBases leaf_bases_;
   mutable KeyMap<float> known_;
 };
 

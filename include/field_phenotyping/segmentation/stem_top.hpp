@@ -12,16 +12,18 @@ namespace field_phenotyping {
 /// tassel.
 ///
 /// Two things end it. The core of the axis empties where the whorl opens, for leaves lean away from
-/// it: the cut parts bands that have a stem's number of points from bands that have few. Or the
-/// tassel begins: its spike continues the stem, but its side branches leave it all round, above a
-/// bare stretch, and nothing comes after them. Of several such places the highest is the tassel's,
-/// the others are ears'. Gives midline.axis.length() where neither is found.
+/// it: the cut parts bands that have a stem's number of points from bands that have no more than
+/// the leaves beside it would put there. Or the tassel begins: its spike continues the stem, but
+/// its side branches leave it all round, above a bare stretch, and nothing comes after them. Of
+/// several such places the highest is the tassel's, the others are ears'. Gives
+/// midline.axis.length() where neither is found.
 ///
 /// @param points  local frame [m]
 /// @param members indices of the points near the midline, leaf points included
 /// @param stand   tips the scales where the points leave the end open
+/// @param leaf_density of leaves that may stand in the core, to that of those just beside it
 float findStemTop(const std::vector<Eigen::Vector3f>& points,
                   const std::vector<std::uint32_t>& members, const Midline& midline,
-                  const StandLength& stand = {});
+                  const StandLength& stand = {}, double leaf_density = 1.0);
 
 }  // namespace field_phenotyping
