@@ -12,9 +12,11 @@
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/minimum_cut.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/neighborhood.hpp"
+#include "field_phenotyping/segmentation/stem_continuation.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -575,9 +577,90 @@ std::vector<std::vector<Misfit>> compareForms(const Cells& cells, const Pieces& 
   return misfits;
 }
 
+/// Where every plant in turn takes what makes the sum of all costs least, until nothing changes: a
+/// piece costs what it costs the plant that has it, and a link between pieces of two plants costs
+/// the more the likelier it is that one continues the other.
+///
+/// @param costs    of each plant: the pieces that it can get at
+/// @param plant_of of each piece: a first choice among them, or -1 where no plant gets at it
+void settlePieces(const std::vector<std::vector<Misfit>>& costs,
+                  const std::vector<std::vector<Link>>& links,
+                  std::vector<std::int32_t>& plant_of) {
+  // Log odds that the pieces of a link are of one plant, roughly.
+  constexpr float kSure = 4.0F;
+  constexpr float kLinkScale = 2.0F;  // link cost that makes them e times less
+  constexpr float kLeastOdds = 0.05F;
+  constexpr int kMostRounds = 3;
+  const auto whole = [](float cost) {
+    constexpr float kUnit = 1000.0F;
+    return static_cast<std::int64_t>(cost * kUnit);
+  };
+  const std::size_t count = plant_of.size();
+  std::vector<std::vector<std::pair<std::uint32_t, std::int64_t>>> parting(count);
+  for (std::size_t piece = 0; piece < count; ++piece) {
+    for (const Link& link : links[piece]) {
+      const float odds = kSure * std::exp(-link.cost / kLinkScale);
+      if (odds > kLeastOdds && plant_of[link.piece] >= 0) {
+        parting[piece].emplace_back(link.piece, whole(odds));
+      }
+    }
+  }
+  std::vector<float> cost(count, 0.0F);  // to the plant that has it
+  for (std::size_t plant = 0; plant < costs.size(); ++plant) {
+    for (const Misfit& of : costs[plant]) {
+      if (plant_of[of.piece] == static_cast<std::int32_t>(plant)) cost[of.piece] = of.cost;
+    }
+  }
+  constexpr std::size_t kNoNode = std::numeric_limits<std::size_t>::max();
+  std::vector<std::size_t> node(count, kNoNode);
+  std::vector<Misfit> others;  // pieces that the plant may take
+  bool changed = true;
+  for (int round = 0; round < kMostRounds && changed; ++round) {
+    changed = false;
+    for (std::size_t plant = 0; plant < costs.size(); ++plant) {
+      const auto taker = static_cast<std::int32_t>(plant);
+      others.clear();
+      for (const Misfit& of : costs[plant]) {
+        if (plant_of[of.piece] == taker) continue;
+        node[of.piece] = others.size();
+        others.push_back(of);
+      }
+      MinimumCut cut(others.size());
+      for (std::size_t n = 0; n < others.size(); ++n) {
+        const std::uint32_t piece = others[n].piece;
+        cut.addCost(n, whole(others[n].cost - cost[piece]));
+        for (const auto& [next, odds] : parting[piece]) {
+          const bool together = plant_of[next] == plant_of[piece];
+          if (node[next] == kNoNode) {
+            cut.addCost(n, odds * ((plant_of[next] == taker ? 0 : 1) - (together ? 0 : 1)));
+          } else if (piece < next) {
+            // What was parted stays so unless both are taken.
+            cut.addPairCost(n, node[next], odds);
+            if (together) {
+              cut.addPairCost(node[next], n, odds);
+            } else {
+              cut.addCost(node[next], -odds);
+            }
+          }
+        }
+      }
+      const std::vector<bool> taken = cut.solve();
+      for (std::size_t n = 0; n < others.size(); ++n) {
+        const Misfit& of = others[n];
+        node[of.piece] = kNoNode;
+        if (!taken[n]) continue;
+        plant_of[of.piece] = taker;
+        cost[of.piece] = of.cost;
+        changed = true;
+      }
+    }
+  }
+}
+
 /// Gives whole pieces to plants. A plant gets at a piece from its stem or through pieces that this
 /// one continues; every piece on the way costs as much as its form does not fit that plant. The
-/// plant with the cheapest way has it.
+/// plant with the cheapest way has it first; then pieces that continue one another are settled
+/// together.
 void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vector<Link>>& links,
                   const std::vector<StemAxis>& axes, float reach, const LeafForm& form,
                   float misfit_weight) {
@@ -593,6 +676,7 @@ void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vec
   std::vector<float> cost(count, kNone);
   std::vector<float> start(count, kNone);    // at the stem
   std::vector<float> misfits(count, kNone);  // of pieces near the plant
+  std::vector<std::vector<Misfit>> costs_of(axes.size());
   for (std::size_t plant = 0; plant < axes.size(); ++plant) {
     const StemAxis& axis = axes[plant];
     if (misfits_of[plant].empty()) continue;
@@ -640,9 +724,16 @@ void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vec
       for (const Link& link : links[entry.node]) offer(link.piece, entry.cost + link.cost);
     }
     for (const Misfit& misfit : misfits_of[plant]) {
+      if (cost[misfit.piece] < kMostCost) {
+        // What the way costs says less of a piece than its own form does.
+        constexpr float kWayShare = 0.5F;
+        costs_of[plant].push_back(
+            {misfit.piece, misfit.cost + kWayShare * (cost[misfit.piece] - misfit.cost)});
+      }
       cost[misfit.piece] = start[misfit.piece] = misfits[misfit.piece] = kNone;
     }
   }
+  settlePieces(costs_of, links, plant_of);
   for (std::size_t piece = 0; piece < count; ++piece) {
     for (const std::uint32_t n : pieces.cells[piece]) cells.owner[n] = plant_of[piece];
   }
@@ -743,6 +834,7 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   if (block.cloud.empty()) return owner;
   const auto reach = static_cast<float>(parameters.organ_reach);
   const float noise = noiseOf(block, axes, owner);
+  followStemsUp(block, axes, noise, owner);
   Cells cells = gatherCells(block, owner, shapeRadius(noise));
   const Pieces pieces = findPieces(cells, noise);
   constexpr float kStraightOn = 1.6F;  // of the reach, along a leaf

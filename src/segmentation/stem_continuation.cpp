@@ -1,0 +1,132 @@
+#include "field_phenotyping/segmentation/stem_continuation.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "field_phenotyping/common/neighbor_grid.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr float kStep = 0.02F;   // [m] along the organ
+constexpr float kReach = 0.03F;  // [m] about the place foretold, in which the organ is looked for
+
+/// Half the width of the tube that a spike's points lie in [m].
+float tubeRadius(float noise) {
+  constexpr float kSpike = 0.010F;  // [m] its radius, with spikelets
+  constexpr float kPerNoise = 1.5F;
+  return kSpike + kPerNoise * noise;
+}
+
+/// Points that no stem holds, above the lowest end of a stem.
+std::vector<std::uint32_t> pointsAbove(const std::vector<Eigen::Vector3f>& points,
+                                       const std::vector<StemAxis>& axes,
+                                       const std::vector<std::int32_t>& owner) {
+  float lowest = std::numeric_limits<float>::max();
+  for (const StemAxis& axis : axes) {
+    if (!axis.empty()) lowest = std::min(lowest, axis.nodes().back().position.z());
+  }
+  std::vector<std::uint32_t> above;
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
+    if (owner[i] < 0 && points[i].z() > lowest) above.push_back(i);
+  }
+  return above;
+}
+
+/// A straight bit of the organ.
+struct Stretch {
+  Eigen::Vector3f from;
+  Eigen::Vector3f direction;
+};
+
+/// The organ that carries on an axis, stretch by stretch of kStep.
+std::vector<Stretch> follow(const std::vector<Eigen::Vector3f>& points, const NeighborGrid& grid,
+                            const StemAxis& axis, float tube) {
+  constexpr float kTrend = 0.2F;          // [m] of the stem that shows where it points
+  constexpr float kLongest = 0.6F;        // [m] of a tassel
+  constexpr float kLeastCosine = 0.7F;    // of its turn from the stem's direction
+  constexpr std::size_t kWidestGap = 4U;  // steps
+  constexpr std::size_t kAfterGap = 3U;   // steps that must follow on: what crosses shows in fewer
+  constexpr float kShift = 0.5F;          // share of the offset that the place moves by
+  constexpr float kTurn = 0.15F;          // share of a step's turn that is believed
+  const float length = axis.length();
+  const Eigen::Vector3f end = axis.pointAt(length);
+  const Eigen::Vector3f upwards =
+      (end - axis.pointAt(std::max(0.0F, length - kTrend))).normalized();
+  Eigen::Vector3f place = end;
+  Eigen::Vector3f direction = upwards;
+  std::vector<Stretch> stretches;
+  std::size_t sure = 0U;  // stretches of the organ
+  std::size_t run = 0U;   // steps with points since the last gap
+  bool gap = false;
+  while (static_cast<float>(stretches.size()) * kStep < kLongest) {
+    const Eigen::Vector3f middle = place + 0.5F * kStep * direction;
+    Eigen::Vector3f offset = Eigen::Vector3f::Zero();
+    float weights = 0.0F;
+    grid.forEachWithin(middle, kReach, [&](std::uint32_t i, float) {
+      const Eigen::Vector3f away = points[i] - middle;
+      const float along = away.dot(direction);
+      if (std::abs(along) > 0.5F * kStep) return;
+      const Eigen::Vector3f aside = away - along * direction;
+      const float weight = std::exp(-0.5F * aside.squaredNorm() / (tube * tube));
+      offset += weight * aside;
+      weights += weight;
+    });
+    constexpr float kLeastWeight = 0.5F;
+    stretches.push_back({place, direction});
+    if (weights > kLeastWeight) {
+      ++run;
+      if (!gap || run >= kAfterGap) {
+        gap = false;
+        sure = stretches.size();
+      }
+      const Eigen::Vector3f shift = kShift / weights * offset;
+      direction = (direction + kTurn / kStep * shift).normalized();
+      place += kStep * direction + shift;
+    } else {
+      run = 0U;
+      gap = true;
+      place += kStep * direction;
+    }
+    if (stretches.size() - sure > kWidestGap + kAfterGap) break;
+    if (gap && run == 0U && stretches.size() - sure > kWidestGap) break;
+    if (direction.dot(upwards) < kLeastCosine) break;
+  }
+  stretches.resize(sure);
+  return stretches;
+}
+
+}  // namespace
+
+void followStemsUp(const Block& block, const std::vector<StemAxis>& axes, float noise,
+                   std::vector<std::int32_t>& owner) {
+  const std::vector<std::uint32_t> above = pointsAbove(block.cloud.points, axes, owner);
+  if (above.empty()) return;
+  std::vector<Eigen::Vector3f> points;
+  for (const std::uint32_t i : above) points.push_back(block.cloud.points[i]);
+  std::vector<std::uint8_t> has_stem(axes.size(), 0U);
+  for (const std::int32_t plant : owner) {
+    if (plant >= 0) has_stem[static_cast<std::size_t>(plant)] = 1U;
+  }
+  const NeighborGrid grid(points, kReach);
+  const float tube = tubeRadius(noise);
+  std::vector<float> least(points.size(), tube);  // [m] distance from the middle of the organ
+  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
+    if (has_stem[plant] == 0U) continue;
+    for (const Stretch& stretch : follow(points, grid, axes[plant], tube)) {
+      const Eigen::Vector3f middle = stretch.from + 0.5F * kStep * stretch.direction;
+      grid.forEachWithin(middle, kReach, [&](std::uint32_t i, float) {
+        const Eigen::Vector3f away = points[i] - middle;
+        const float along = away.dot(stretch.direction);
+        if (std::abs(along) > 0.6F * kStep) return;
+        const float aside = (away - along * stretch.direction).norm();
+        if (aside >= least[i]) return;
+        least[i] = aside;
+        owner[above[i]] = static_cast<std::int32_t>(plant);
+      });
+    }
+  }
+}
+
+}  // namespace field_phenotyping
