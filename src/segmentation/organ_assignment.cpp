@@ -659,11 +659,11 @@ void settlePieces(const std::vector<std::vector<Misfit>>& costs,
 
 /// Gives whole pieces to plants. A plant gets at a piece from its stem or through pieces that this
 /// one continues; every piece on the way costs as much as its form does not fit that plant. The
-/// plant with the cheapest way has it first; then pieces that continue one another are settled
-/// together.
+/// plant with the cheapest way has it; `settle` then gives pieces that continue one another away
+/// together, which is of use only once the form is known.
 void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vector<Link>>& links,
                   const std::vector<StemAxis>& axes, float reach, const LeafForm& form,
-                  float misfit_weight) {
+                  float misfit_weight, bool settle) {
   constexpr float kMostCost = 60.0F;
   constexpr float kGapScale = 0.04F;  // [m] of gap between a stem and its leaf that costs 1
   constexpr float kNone = std::numeric_limits<float>::max();
@@ -733,7 +733,7 @@ void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vec
       cost[misfit.piece] = start[misfit.piece] = misfits[misfit.piece] = kNone;
     }
   }
-  settlePieces(costs_of, links, plant_of);
+  if (settle) settlePieces(costs_of, links, plant_of);
   for (std::size_t piece = 0; piece < count; ++piece) {
     for (const std::uint32_t n : pieces.cells[piece]) cells.owner[n] = plant_of[piece];
   }
@@ -843,9 +843,9 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   constexpr float kLooseWeight = 5.0F;
   constexpr float kFirmWeight = 15.0F;
   LeafForm form;
-  assignPieces(cells, pieces, links, axes, 2.0F * reach, form, kLooseWeight);
+  assignPieces(cells, pieces, links, axes, 2.0F * reach, form, kLooseWeight, false);
   form = LeafForm::learn(cells, axes);
-  assignPieces(cells, pieces, links, axes, 2.0F * reach, form, kFirmWeight);
+  assignPieces(cells, pieces, links, axes, 2.0F * reach, form, kFirmWeight, true);
   // Crossings, margins and what is too small or rough to be a piece.
   growPaths(cells, axes, form, std::min(kNearReach, reach), false);
   // Gaps that leaves in front have torn; not near the soil, where weeds stand as close.
