@@ -10,6 +10,7 @@
 #include <optional>
 #include <utility>
 
+#include "field_phenotyping/common/log_sum.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/segmentation/stem_curve.hpp"
 
@@ -277,24 +278,6 @@ class CurveFit {
     }
     return sum;
   }
-
-  /// Sum of logarithms, as the logarithm of products.
-  class LogSum {
-   public:
-    void add(double factor) {
-      product_ *= factor;
-      constexpr double kMost = 1e200;  // leaves room for one more factor
-      if (product_ < 1.0 / kMost || product_ > kMost) {
-        sum_ += std::log(product_);
-        product_ = 1.0;
-      }
-    }
-    double value() const { return sum_ + std::log(product_); }
-
-   private:
-    double sum_ = 0.0;
-    double product_ = 1.0;
-  };
 
   std::vector<double> bandEvidence(double low, double high) const {
     constexpr std::array<double, 2> kShares{0.2, 0.7};

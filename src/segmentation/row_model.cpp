@@ -8,6 +8,8 @@
 #include <limits>
 #include <stdexcept>
 
+#include "field_phenotyping/common/log_sum.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -47,12 +49,21 @@ struct RowModel::Fit {
   double in_rows = 0.5;
   double evidence = -std::numeric_limits<double>::infinity();
 
+  /// Of every direction with every spacing those where the phases of the places agree best, as they
+  /// do where there are rows.
+  /// @param reach of the places from the origin [m]
+  static std::vector<Fit> likely(const std::vector<PlantPlace>& places, double reach,
+                                 const Range& spacings);
+
   Eigen::Vector2d normal() const { return {std::cos(angle), std::sin(angle)}; }
-  double rowAt(const Eigen::Vector2d& position) const {
-    return std::round((normal().dot(position) - offset) / spacing);
-  }
-  double off(const Eigen::Vector2d& position) const {
-    return normal().dot(position) - offset - rowAt(position) * spacing;
+  /// The nearest row and the signed distance from it, of a place so far across the rows.
+  struct InRows {
+    double row;
+    double off;
+  };
+  InRows inRows(double at) const {
+    const double row = std::round((at - offset) / spacing);
+    return {row, at - offset - row * spacing};
   }
   /// Density of places against an even one.
   double odds(double off_row) const {
@@ -70,11 +81,12 @@ struct RowModel::Fit {
       double total = 0.0;
       double on = 0.0;
       double squares = 0.0;
+      const Eigen::Vector2d across_rows = normal();
+      const Eigen::Vector2d tangent = across(across_rows);
       for (const PlantPlace& place : places) {
-        const double away = off(place.position);
+        const auto [row, away] = inRows(across_rows.dot(place.position));
         const double in = 1.0 - (1.0 - in_rows) / odds(away);
-        const Eigen::Vector2d tangent(-std::sin(angle), std::cos(angle));
-        const Eigen::Vector3d slope(tangent.dot(place.position), -1.0, -rowAt(place.position));
+        const Eigen::Vector3d slope(tangent.dot(place.position), -1.0, -row);
         matrix += place.weight * in * slope * slope.transpose();
         right -= place.weight * in * away * slope;
         total += place.weight;
@@ -93,10 +105,74 @@ struct RowModel::Fit {
     }
     evidence = 0.0;
     for (const PlantPlace& place : places) {
-      evidence += place.weight * std::log(odds(off(place.position)));
+      evidence += place.weight * std::log(odds(inRows(normal().dot(place.position)).off));
     }
   }
 };
+
+std::vector<RowModel::Fit> RowModel::Fit::likely(const std::vector<PlantPlace>& places,
+                                                 double reach, const Range& spacings) {
+  // Steps so fine that the outermost places stay within an eighth of a row.
+  const double turn = spacings.low / (8.0 * reach);
+  const auto turns = static_cast<std::size_t>(std::ceil(M_PI / turn));
+  const double lowest = 1.0 / spacings.high;
+  const double highest = 1.0 / spacings.low;
+  const auto steps = std::max<std::size_t>(
+      static_cast<std::size_t>(std::ceil((highest - lowest) * 8.0 * reach)), 1U);
+  const double step = (highest - lowest) / static_cast<double>(steps);  // [1/m]
+  struct Rough {
+    Fit fit;
+    std::complex<double> sum;
+    double squared;
+  };
+  std::vector<Rough> all;
+  all.reserve(turns * (steps + 1U));
+  // Each place's phase at a spacing, and by how much it turns from one spacing to the next.
+  const std::size_t count = places.size();
+  std::vector<double> real(count);
+  std::vector<double> imaginary(count);
+  std::vector<double> turn_real(count);
+  std::vector<double> turn_imaginary(count);
+  for (std::size_t i = 0; i < turns; ++i) {
+    Fit fit;
+    fit.angle = M_PI * static_cast<double>(i) / static_cast<double>(turns);
+    for (std::size_t p = 0; p < count; ++p) {
+      const double phase = 2.0 * M_PI * fit.normal().dot(places[p].position);
+      real[p] = places[p].weight * std::cos(phase * lowest);
+      imaginary[p] = places[p].weight * std::sin(phase * lowest);
+      turn_real[p] = std::cos(phase * step);
+      turn_imaginary[p] = std::sin(phase * step);
+    }
+    for (std::size_t k = 0; k <= steps; ++k) {
+      fit.spacing = 1.0 / (lowest + static_cast<double>(k) * step);
+      double sum_real = 0.0;
+      double sum_imaginary = 0.0;
+      for (std::size_t p = 0; p < count; ++p) {
+        sum_real += real[p];
+        sum_imaginary += imaginary[p];
+        const double next = real[p] * turn_real[p] - imaginary[p] * turn_imaginary[p];
+        imaginary[p] = real[p] * turn_imaginary[p] + imaginary[p] * turn_real[p];
+        real[p] = next;
+      }
+      all.push_back(
+          {fit, {sum_real, sum_imaginary}, sum_real * sum_real + sum_imaginary * sum_imaginary});
+    }
+  }
+  constexpr std::size_t kTried = 60U;
+  const std::size_t tried = std::min(kTried, all.size());
+  std::partial_sort(all.begin(), all.begin() + static_cast<std::ptrdiff_t>(tried), all.end(),
+                    [](const Rough& a, const Rough& b) {
+                      return a.squared != b.squared       ? a.squared > b.squared
+                             : a.fit.angle != b.fit.angle ? a.fit.angle < b.fit.angle
+                                                          : a.fit.spacing < b.fit.spacing;
+                    });
+  std::vector<Fit> best;
+  for (std::size_t k = 0; k < tried; ++k) {
+    best.push_back(all[k].fit);
+    best.back().offset = std::arg(all[k].sum) / (2.0 * M_PI) * best.back().spacing;
+  }
+  return best;
+}
 
 std::optional<RowModel> RowModel::find(const std::vector<PlantPlace>& places,
                                        const RowHints& hints) {
@@ -115,41 +191,9 @@ std::optional<RowModel> RowModel::find(const std::vector<PlantPlace>& places,
     reach = std::max(reach, place.position.norm());
   }
 
-  // 1. Every direction with every spacing: the phases of the places agree where there are rows.
-  // Steps so fine that the outermost places stay within an eighth of a row.
+  // 1. The likeliest of every direction with every spacing, each fitted.
   const Range spacings = hinted(hints.row_spacing, kClosest, kWidest);
-  const double turn = spacings.low / (8.0 * reach);
-  const auto turns = static_cast<std::size_t>(std::ceil(M_PI / turn));
-  const double step = 1.0 / (8.0 * reach);
-  const auto steps =
-      static_cast<std::size_t>(std::ceil((1.0 / spacings.low - 1.0 / spacings.high) / step)) + 1U;
-  std::vector<Fit> starts;
-  for (std::size_t i = 0; i < turns; ++i) {
-    Fit start;
-    start.angle = M_PI * static_cast<double>(i) / static_cast<double>(turns);
-    for (std::size_t k = 0; k < steps; ++k) {
-      start.spacing =
-          1.0 / std::min(1.0 / spacings.high + static_cast<double>(k) * step, 1.0 / spacings.low);
-      std::complex<double> sum = 0.0;
-      for (const PlantPlace& place : centred) {
-        sum += std::polar(place.weight,
-                          2.0 * M_PI * start.normal().dot(place.position) / start.spacing);
-      }
-      start.offset = std::arg(sum) / (2.0 * M_PI) * start.spacing;
-      start.evidence = std::abs(sum);
-      starts.push_back(start);
-    }
-  }
-  // 2. The best of them, each fitted.
-  constexpr std::size_t kTried = 60U;
-  const std::size_t tried = std::min(kTried, starts.size());
-  std::partial_sort(starts.begin(), starts.begin() + static_cast<std::ptrdiff_t>(tried),
-                    starts.end(), [](const Fit& a, const Fit& b) {
-                      return a.evidence != b.evidence ? a.evidence > b.evidence
-                             : a.angle != b.angle     ? a.angle < b.angle
-                                                      : a.spacing < b.spacing;
-                    });
-  starts.resize(tried);
+  std::vector<Fit> starts = Fit::likely(centred, reach, spacings);
   Fit best;
   for (Fit& fit : starts) {
     fit.refine(centred, spacings);
@@ -197,16 +241,24 @@ double RowModel::rowOdds(const Eigen::Vector2d& position) const {
 }
 
 /// Plants follow at the spacing, or at two, three, ... spacings where some are missing.
-double RowModel::intervalDensity(double interval) const {
-  constexpr int kMostMissing = 8;
+RowModel::Multiples RowModel::multiplesOf(double interval) const {
+  Multiples densities;
+  for (std::size_t k = 0; k < densities.size(); ++k) {
+    const auto spacings = static_cast<double>(k + 1U);
+    densities[k] = gaussian(interval - spacings * plant_spacing_,
+                            std::sqrt(spacings) * spacing_scatter_ * plant_spacing_);
+  }
+  return densities;
+}
+
+double RowModel::intervalDensity(double interval, const Multiples& multiples) const {
   constexpr double kAnyhow = 0.1;  // share that keeps to no spacing
   constexpr double kLongest = 4.0;
   double density = interval < kLongest * plant_spacing_ ? 1.0 / (kLongest * plant_spacing_) : 0.0;
   density *= kAnyhow;
   double share = (1.0 - kAnyhow) * (1.0 - missing_);
-  for (int k = 1; k <= kMostMissing; ++k) {
-    density += share * gaussian(interval - k * plant_spacing_,
-                                std::sqrt(k) * spacing_scatter_ * plant_spacing_);
+  for (const double multiple : multiples) {
+    density += share * multiple;
     share *= missing_;
   }
   constexpr double kNever = 1e-3;
@@ -239,18 +291,22 @@ void RowModel::fitSpacing(const std::vector<PlantPlace>& places, double hint) {
   double most = -std::numeric_limits<double>::infinity();
   RowModel best = *this;
   RowModel trial = *this;
+  std::vector<Multiples> multiples(intervals.size());
   for (double spacing = spacings.low; spacing <= spacings.high; spacing *= 1.03) {
     trial.plant_spacing_ = spacing;
     for (const double scatter : {0.08, 0.14, 0.2, 0.3, 0.4}) {
       trial.spacing_scatter_ = scatter;
+      for (std::size_t i = 0; i < intervals.size(); ++i) {
+        multiples[i] = trial.multiplesOf(intervals[i]);
+      }
       for (const double missing : {0.03, 0.1, 0.2, 0.35, 0.5}) {
         trial.missing_ = missing;
-        double likelihood = 0.0;
-        for (const double interval : intervals) {
-          likelihood += std::log(trial.intervalDensity(interval));
+        LogSum likelihood;
+        for (std::size_t i = 0; i < intervals.size(); ++i) {
+          likelihood.add(trial.intervalDensity(intervals[i], multiples[i]));
         }
-        if (likelihood <= most) continue;
-        most = likelihood;
+        if (likelihood.value() <= most) continue;
+        most = likelihood.value();
         best = trial;
       }
     }
@@ -278,9 +334,23 @@ double RowModel::intervalOdds(const Eigen::Vector2d& position,
   const auto [before, after] = neighborsOf(position, others);
   double odds = 1.0;
   for (const double interval : {before, after}) {
-    odds *= plant_spacing_ * intervalDensity(std::min(interval, kFar * plant_spacing_));
+    const double seen = std::min(interval, kFar * plant_spacing_);
+    odds *= plant_spacing_ * intervalDensity(seen, multiplesOf(seen));
   }
   return odds;
+}
+
+double RowModel::mostOdds() const {
+  const double in_row =
+      std::max(in_rows_ * row_spacing_ * gaussian(0.0, row_scatter_) + 1.0 - in_rows_, 1.0);
+  if (!(plant_spacing_ > 0.0)) return in_row;
+  Multiples highest;
+  for (std::size_t k = 0; k < highest.size(); ++k) {
+    highest[k] =
+        gaussian(0.0, std::sqrt(static_cast<double>(k + 1U)) * spacing_scatter_ * plant_spacing_);
+  }
+  const double interval = plant_spacing_ * intervalDensity(0.0, highest);
+  return in_row * interval * interval;
 }
 
 double RowModel::spacingOdds(const Eigen::Vector2d& position,

@@ -1,6 +1,7 @@
 #include "field_phenotyping/segmentation/stem_foot.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -44,6 +45,69 @@ bool footIsSeen(const Sight& sight) {
   for (std::size_t band = 0; band < bands; ++band) low += sight.weights[band];
   return low >= kEnough * sight.total;
 }
+
+/// A point below the middle of what is seen of a stem.
+struct Drop {
+  Eigen::Vector2f shift;  // from the middle, horizontally [m]
+  float depth;            // [m]
+};
+
+/// The slopes that a stem may go down with, row by row: a square of feet round the likeliest one.
+class SlopeGrid {
+ public:
+  static constexpr float kStep = 0.005F;  ///< [m] from foot to foot
+  static constexpr int kSteps = 24;       ///< to either side
+  static constexpr float kReach = kSteps * kStep;
+
+  /// @param height of the middle of what is seen above the soil [m]
+  SlopeGrid(const Eigen::Vector2f& likeliest, float height)
+      : corner_(likeliest - kReach / height * Eigen::Vector2f::Ones()), step_(kStep / height) {}
+
+  static constexpr std::size_t size() { return kSide * kSide; }
+  Eigen::Vector2f at(std::size_t k) const {
+    return corner_ +
+           step_ * Eigen::Vector2f(static_cast<float>(k % kSide), static_cast<float>(k / kSide));
+  }
+
+  /// Adds to each slope how near the point lies to an axis that goes down from the middle with it.
+  void addNear(const Drop& drop, std::vector<float>& near) const {
+    const Column x = columnOf(drop.shift.x() + drop.depth * corner_.x(), drop.depth * step_);
+    const Column y = columnOf(drop.shift.y() + drop.depth * corner_.y(), drop.depth * step_);
+    for (std::size_t row = y.begin; row < y.end; ++row) {
+      const float share = y.shares[row];
+      float* const sums = near.data() + row * kSide;
+      for (std::size_t k = x.begin; k < x.end; ++k) sums[k] += share * x.shares[k];
+    }
+  }
+
+ private:
+  static constexpr std::size_t kSide = 2U * kSteps + 1U;
+  struct Column {
+    std::array<float, kSide> shares;  // of nearness, from begin to end
+    std::size_t begin;
+    std::size_t end;
+  };
+
+  /// Nearness of offsets first, first + step, ... along one coordinate.
+  static Column columnOf(float first, float step) {
+    constexpr float kWidth = 0.010F;       // [m] of a stem's points about its axis
+    constexpr float kFar = 5.0F * kWidth;  // what is farther off changes nothing
+    const auto last = static_cast<float>(kSide);
+    Column column;
+    column.begin =
+        static_cast<std::size_t>(std::clamp(std::ceil((-kFar - first) / step), 0.0F, last));
+    column.end =
+        static_cast<std::size_t>(std::clamp(std::floor((kFar - first) / step) + 1.0F, 0.0F, last));
+    for (std::size_t k = column.begin; k < column.end; ++k) {
+      const float off = (first + static_cast<float>(k) * step) / kWidth;
+      column.shares[k] = std::exp(-0.5F * off * off);
+    }
+    return column;
+  }
+
+  Eigen::Vector2f corner_;
+  float step_;
+};
 
 }  // namespace
 
@@ -94,11 +158,6 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
   const float height = middle.z() - soil;
   constexpr float kLit = 0.15F;  // [m] below the middle: leaves crowd there
   if (!(height > 2.0F * kLit)) return std::nullopt;
-  constexpr float kReach = 0.12F;  // [m] of the foot from where the stand's lean would have it
-  struct Drop {
-    Eigen::Vector2f shift;  // from the middle, horizontally
-    float depth;
-  };
   std::vector<std::vector<Drop>> slabs;
   constexpr float kSlab = 0.10F;
   for (float depth = kLit; depth < height; depth += kSlab) {
@@ -106,7 +165,7 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
     const float at = depth + 0.5F * kSlab;
     const Eigen::Vector2f expected = middle.head<2>() - at * lean.slope;
     const Eigen::Vector3f center(expected.x(), expected.y(), middle.z() - at);
-    const float reach = kReach * at / height + 0.03F;
+    const float reach = SlopeGrid::kReach * at / height + 0.03F;
     grid.forEachWithin(center, std::hypot(reach, 0.5F * kSlab), [&](std::uint32_t i, float) {
       const Eigen::Vector3f off = block.cloud.points[i] - middle;
       if (std::abs(-off.z() - at) > 0.5F * kSlab) return;
@@ -114,43 +173,47 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
     });
   }
 
-  // 3. The slope that all agree on best.
-  const auto scoreOf = [&](const Eigen::Vector2f& slope) {
-    const float standing = lean.deviation(slope, 0.0F);
-    float score = -0.5F * standing * standing -
-                  0.5F * (slope - seen_slope).squaredNorm() / (seen_error * seen_error);
-    if (stand.rows) {
-      const Eigen::Vector2d foot = (middle.head<2>() - height * slope).cast<double>();
-      score += static_cast<float>(std::log(stand.rows->rowOdds(foot)) +
-                                  std::log(stand.rows->intervalOdds(foot, stand.plants)));
-    }
-    for (const std::vector<Drop>& slab : slabs) {
-      constexpr float kWidth = 0.010F;  // [m] of a stem's points about its axis
-      constexpr float kFew = 1.0F;      // point that chance puts there
-      float near = 0.0F;
-      for (const Drop& drop : slab) {
-        const float off = (drop.shift + drop.depth * slope).squaredNorm() / (kWidth * kWidth);
-        constexpr float kFar = 60.0F;  // exp(-30) changes nothing
-        if (off < kFar) near += std::exp(-0.5F * off);
-      }
-      score += std::log1p(near / (kFew + 0.1F * static_cast<float>(slab.size())));
-    }
-    return score;
-  };
-  const float step = 0.005F / height;
-  const int steps = static_cast<int>(std::ceil(kReach / 0.005F));
-  Eigen::Vector2f best = seen_slope;
-  float most = -std::numeric_limits<float>::max();
-  for (int dy = -steps; dy <= steps; ++dy) {
-    for (int dx = -steps; dx <= steps; ++dx) {
-      const Eigen::Vector2f slope =
-          lean.slope + step * Eigen::Vector2f(static_cast<float>(dx), static_cast<float>(dy));
-      const float score = scoreOf(slope);
-      if (score <= most) continue;
-      most = score;
-      best = slope;
+  // 3. The slope that all agree on best: of a grid of slopes, by what each slab says of all of
+  // them.
+  const SlopeGrid slopes(lean.slope, height);
+  std::vector<double> odds(slopes.size(), 1.0);
+  std::vector<float> near;
+  for (const std::vector<Drop>& slab : slabs) {
+    near.assign(slopes.size(), 0.0F);
+    for (const Drop& drop : slab) slopes.addNear(drop, near);
+    constexpr float kFew = 1.0F;  // point that chance puts there
+    const float share = 1.0F / (kFew + 0.1F * static_cast<float>(slab.size()));
+    for (std::size_t k = 0; k < odds.size(); ++k) {
+      odds[k] *= 1.0 + static_cast<double>(near[k] * share);
     }
   }
+  std::vector<double> scores(slopes.size());
+  for (std::size_t k = 0; k < scores.size(); ++k) {
+    const Eigen::Vector2f slope = slopes.at(k);
+    const float standing = lean.deviation(slope, 0.0F);
+    const float seen = (slope - seen_slope).squaredNorm() / (seen_error * seen_error);
+    scores[k] = std::log(odds[k]) - 0.5 * static_cast<double>(standing * standing + seen);
+  }
+  const auto likeliest = std::max_element(scores.begin(), scores.end());
+  auto best = static_cast<std::size_t>(likeliest - scores.begin());
+  if (stand.rows) {
+    const auto withRows = [&](std::size_t k) {
+      const Eigen::Vector2d foot = (middle.head<2>() - height * slopes.at(k)).cast<double>();
+      return scores[k] + std::log(stand.rows->rowOdds(foot)) +
+             std::log(stand.rows->intervalOdds(foot, stand.plants));
+    };
+    // Only those are asked for that the best place in the best row could make the best.
+    const double most_gain = std::log(stand.rows->mostOdds());
+    double most = withRows(best);
+    for (std::size_t k = 0; k < scores.size(); ++k) {
+      if (scores[k] + most_gain <= most) continue;
+      const double score = withRows(k);
+      if (score <= most) continue;
+      most = score;
+      best = k;
+    }
+  }
+  const Eigen::Vector2f slope = slopes.at(best);
 
   // 4. Straight down from the middle; above it as it was.
   constexpr float kNodeSpacing = 0.05F;  // [m]
@@ -159,7 +222,7 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
   for (int k = count; k >= 0; --k) {
     const float depth = height * static_cast<float>(k) / static_cast<float>(count);
     Eigen::Vector3f position = middle;
-    position.head<2>() -= depth * best;
+    position.head<2>() -= depth * slope;
     position.z() -= depth;
     nodes.push_back({position, axis.radiusAt(axis.project(position).arc_length)});
   }

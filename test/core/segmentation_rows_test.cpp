@@ -206,5 +206,25 @@ TEST(Rows, ArePriorForPlaces) {
   EXPECT_EQ(rows->spacingOdds(field.at(1, 4), {}), 1.0) << "the first of its row";
 }
 
+TEST(Rows, NoPlaceIsLikelierThanTheBound) {
+  Field field;
+  field.azimuth = 70.0;
+  field.missing = 0.2;
+  const std::vector<PlantPlace> places = field.places(6U);
+  const auto rows = RowModel::find(places, {});
+  ASSERT_TRUE(rows.has_value());
+  std::vector<Eigen::Vector2d> others;
+  for (const PlantPlace& place : places) others.push_back(place.position);
+  double most = 0.0;
+  for (double row = -0.5; row < 4.0; row += 0.02) {
+    for (double plant = -1.0; plant < 13.0; plant += 0.1) {
+      const Eigen::Vector2d place = field.at(row, plant);
+      most = std::max(most, rows->rowOdds(place) * rows->intervalOdds(place, others));
+    }
+  }
+  EXPECT_LE(most, rows->mostOdds());
+  EXPECT_GT(most, 0.3 * rows->mostOdds()) << "no looser than needed";
+}
+
 }  // namespace
 }  // namespace field_phenotyping

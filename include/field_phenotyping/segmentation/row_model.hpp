@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <map>
 #include <optional>
 #include <vector>
@@ -53,6 +54,8 @@ class RowModel {
   /// the row stand.
   double intervalOdds(const Eigen::Vector2d& position,
                       const std::vector<Eigen::Vector2d>& others) const;
+  /// Bound of rowOdds() times intervalOdds() of any place.
+  double mostOdds() const;
 
  private:
   struct Fit;
@@ -64,7 +67,11 @@ class RowModel {
                         const std::vector<Eigen::Vector2d>& others) const;
 
   RowModel() = default;
-  double intervalDensity(double interval) const;  // [1/m] of two plants that follow in a row
+  /// Density of an interval of one, two, ... plant spacings [1/m].
+  using Multiples = std::array<double, 8U>;
+  Multiples multiplesOf(double interval) const;
+  /// The same of two plants that follow in a row.
+  double intervalDensity(double interval, const Multiples& multiples) const;
   void fitSpacing(const std::vector<PlantPlace>& places, double hint);
 
   Eigen::Vector2d direction_ = Eigen::Vector2d::UnitX();
