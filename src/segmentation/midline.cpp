@@ -12,6 +12,7 @@
 
 #include "field_phenotyping/common/log_sum.hpp"
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/segmentation/curve_samples.hpp"
 #include "field_phenotyping/segmentation/stem_curve.hpp"
 
 namespace field_phenotyping {
@@ -74,21 +75,21 @@ void placeOn(const StemCurve& curve, const Scale& scale, std::vector<Sample>& sa
 class CurveFit {
  public:
   /// @param samples by height, placed on the curve's nodes
-  CurveFit(const std::vector<Sample>& samples, StemCurve start, const Scale& scale)
+  CurveFit(const CurveSamples& samples, StemCurve start, const Scale& scale)
       : samples_(&samples),
         curve_(std::move(start)),
         scale_(scale),
         reach_(scale.reach),
-        posterior_(samples.size(), 0.0) {
+        posterior_(samples.padded(), 0.0F) {
     shares_.assign(countBands(curve_, scale_), 0.5);
     trust_.assign(shares_.size(), 1.0);
   }
 
   /// The same curve among other samples, placed on the same nodes.
-  CurveFit over(const std::vector<Sample>& samples) const {
+  CurveFit over(const CurveSamples& samples) const {
     CurveFit fit = *this;
     fit.samples_ = &samples;
-    fit.posterior_.assign(samples.size(), 0.0);
+    fit.posterior_.assign(samples.padded(), 0.0F);
     fit.setActive(low_, high_);
     return fit;
   }
@@ -159,12 +160,12 @@ class CurveFit {
     double sum = 0.0;
     double total = 1e-9;
     for (std::size_t i = first_; i < end_; ++i) {
-      if (!(posterior_[i] > 0.0)) continue;
+      if (!(posterior_[i] > 0.0F)) continue;
       const Sample& sample = (*samples_)[i];
       const double away =
           (sample.offset - curve_.centerAt(sample)).norm() - curve_.radiusAt(sample.height);
       const double trust = trust_[sample.band];
-      const double weight = posterior_[i] * trust * trust;
+      const double weight = static_cast<double>(posterior_[i]) * trust * trust;
       sum += weight * away * away;
       total += weight;
     }
@@ -210,7 +211,7 @@ class CurveFit {
   }
 
   /// A fit over other samples that goes on from this one's curve, carried on straight.
-  CurveFit continuedOver(const std::vector<Sample>& samples, const StemCurve& wanted, double low,
+  CurveFit continuedOver(const CurveSamples& samples, const StemCurve& wanted, double low,
                          double high) const {
     CurveFit fit(samples, wanted, scale_);
     const double first = low;
@@ -255,7 +256,7 @@ class CurveFit {
   }
 
   /// What the samples of each band could say for a stem.
-  std::vector<double> possibleEvidence(const std::vector<Sample>& samples) const {
+  std::vector<double> possibleEvidence(const CurveSamples& samples) const {
     std::vector<double> possible(shares_.size(), 0.0);
     for (const Sample& sample : samples) possible[sample.band] += kPointEvidence;
     return possible;
@@ -342,49 +343,6 @@ class CurveFit {
     return height < foot_ ? std::max(foot_spread_, spread_) : spread_;
   }
 
-  /// What the points between two nodes say about both, and about radius and taper: sums of
-  /// w r r^T, w r q^T, w q q^T and of the same with the target, for points with the row
-  /// r = ((1 - share) t, share t) in the nodes' unknowns and q in radius and taper.
-  struct CellSums {
-    double points = 0.0;
-    std::array<Eigen::Vector3d, 3> squares;  ///< xx, xy, yy of t: lower, across, upper node
-    std::array<Eigen::Vector3d, 4> borders;  ///< of each unknown: target, radius, taper
-    Eigen::Vector3d radius = Eigen::Vector3d::Zero();  ///< 1, height, height^2
-    Eigen::Vector2d radius_target = Eigen::Vector2d::Zero();
-
-    CellSums() {
-      squares.fill(Eigen::Vector3d::Zero());
-      borders.fill(Eigen::Vector3d::Zero());
-    }
-    void addPoint(double share, double weight, double height, const Eigen::Vector2d& toward,
-                  double target) {
-      addSquares(share, weight,
-                 {toward.x() * toward.x(), toward.x() * toward.y(), toward.y() * toward.y()});
-      const Eigen::Vector3d border = weight * Eigen::Vector3d(target, 1.0, height);
-      borders[0] += (1.0 - share) * toward.x() * border;
-      borders[1] += (1.0 - share) * toward.y() * border;
-      borders[2] += share * toward.x() * border;
-      borders[3] += share * toward.y() * border;
-      radius += weight * Eigen::Vector3d(1.0, height, height * height);
-      radius_target += weight * target * Eigen::Vector2d(1.0, height);
-    }
-    /// A point that says where the centre is.
-    void addCenter(double share, double weight, const Eigen::Vector2d& offset) {
-      addSquares(share, weight, {1.0, 0.0, 1.0});
-      borders[0].x() += (1.0 - share) * weight * offset.x();
-      borders[1].x() += (1.0 - share) * weight * offset.y();
-      borders[2].x() += share * weight * offset.x();
-      borders[3].x() += share * weight * offset.y();
-    }
-
-   private:
-    void addSquares(double share, double weight, const Eigen::Vector3d& square) {
-      squares[0] += (1.0 - share) * (1.0 - share) * weight * square;
-      squares[1] += share * (1.0 - share) * weight * square;
-      squares[2] += share * share * weight * square;
-    }
-  };
-
   void iterate(bool surface) { maximise(expect(surface), surface); }
 
   /// How probably each point is the stem's, and what the points then say, by cells between nodes.
@@ -392,60 +350,25 @@ class CurveFit {
     std::vector<double> stem(shares_.size(), 0.0);
     std::vector<double> all(shares_.size(), 0.0);
     std::vector<CellSums> cells(curve_.centers.size());
-    // The densities' common factors go with the clutter: one division per point instead of three.
-    std::vector<double> odds(shares_.size());  // of clutter
-    for (std::size_t band = 0; band < shares_.size(); ++band) {
-      odds[band] = (1.0 - shares_[band]) / shares_[band] * clutter();
-    }
-    struct Skin {
-      double spread;
-      double precision;
-      double squared_reach;
+    const auto expectBetween = [&](std::size_t first, std::size_t end, double height) {
+      Skin skin{spreadAt(height), reachAt(height)};
+      samples_->forEachRun(first, end, [&](const CurveSamples::Run& run) {
+        const Sample& sample = (*samples_)[run.begin];
+        const std::size_t band = sample.band;
+        skin.odds = (1.0 - shares_[band]) / shares_[band] * clutter();
+        skin.trust = trust_[band];
+        CellSums& cell = cells[sample.node];
+        const CurveSamples::Share share =
+            surface ? samples_->expectSurface(run, curve_, skin, cell, posterior_)
+                    : samples_->expectBlob(run, curve_, skin, cell, posterior_);
+        stem[band] += share.stem;
+        all[band] += share.all;
+      });
     };
-    const auto skinAt = [&](double height) {
-      const double spread = spreadAt(height);
-      const double reach = reachAt(height);
-      return Skin{spread, 1.0 / (spread * spread), reach * reach};
-    };
-    const Skin low_skin = skinAt(-std::numeric_limits<double>::max());
-    const Skin high_skin = skinAt(std::numeric_limits<double>::max());
-    for (std::size_t i = first_; i < end_; ++i) {
-      posterior_[i] = 0.0;
-      const Sample& sample = (*samples_)[i];
-      const auto& [spread, precision, squared_reach] = sample.height < foot_ ? low_skin : high_skin;
-      const Eigen::Vector2d away = sample.offset - curve_.centerAt(sample);
-      const double squared = away.squaredNorm();
-      if (squared > squared_reach) continue;
-      const std::size_t band = sample.band;
-      all[band] += 1.0;
-      const double radius = surface ? curve_.radiusAt(sample.height) : 0.0;
-      if (squared > std::pow(radius + kFarthest * spread, 2)) continue;
-      const double distance = std::sqrt(squared);
-      double density = 0.0;
-      double norm = 2.0 * M_PI * spread * spread;
-      if (surface) {
-        density = gauss((distance - radius) * (distance - radius) * precision);
-        norm = surfaceNorm(radius, spread);
-      } else {
-        density = gauss(squared * precision);
-      }
-      if (!(density > 0.0)) continue;
-      const double posterior = density / (density + odds[band] * norm);
-      posterior_[i] = posterior;
-      stem[band] += posterior;
-      cells[sample.node].points += posterior;
-      constexpr double kNegligible = 1e-4;
-      if (posterior < kNegligible) continue;
-      const double weight = trust_[band] * posterior * precision;
-      if (surface) {
-        // Distance minus radius, linearised: toward . (offset - center) = radius + taper * height.
-        const Eigen::Vector2d toward = (1.0 / std::max(distance, 1e-6)) * away;
-        cells[sample.node].addPoint(sample.share, weight, sample.height, toward,
-                                    toward.dot(sample.offset));
-      } else {
-        cells[sample.node].addCenter(sample.share, weight, sample.offset);
-      }
-    }
+    const std::size_t above_foot = std::clamp(
+        firstFrom([&](const Sample& sample) { return sample.height >= foot_; }), first_, end_);
+    expectBetween(first_, above_foot, -std::numeric_limits<double>::max());
+    expectBetween(above_foot, end_, std::numeric_limits<double>::max());
     for (std::size_t band = 0; band < shares_.size(); ++band) {
       shares_[band] = std::clamp((stem[band] + 0.5) / (all[band] + 1.0), 0.02, 0.98);
     }
@@ -507,7 +430,7 @@ class CurveFit {
 
   static constexpr double kRadiusStddev = 0.25;  // of the typical radius
 
-  const std::vector<Sample>* samples_;
+  const CurveSamples* samples_;
   StemCurve curve_;
   Scale scale_;
   double reach_;
@@ -523,7 +446,7 @@ class CurveFit {
   double anchor_stddev_ = CurveEquations::kFree;  // [m]
   std::vector<double> shares_;
   std::vector<double> trust_;
-  std::vector<double> posterior_;
+  std::vector<float> posterior_;
 };
 
 /// Where a stem in that direction would have most points low above the soil.
@@ -563,8 +486,7 @@ struct Hypothesis {
   double spread = 0.004;  ///< [m] until the whole stem shows it
 };
 
-std::vector<Sample> samplesAlong(const std::vector<Sample>& samples, const StemCurve& way,
-                                 const Scale& scale) {
+CurveSamples samplesAlong(const CurveSamples& samples, const StemCurve& way, const Scale& scale) {
   constexpr double kReach = 5.0 / 3.0;  // what any of the fits reaches, for they move
   std::vector<Sample> near;
   for (const Sample& sample : samples) {
@@ -572,26 +494,27 @@ std::vector<Sample> samplesAlong(const std::vector<Sample>& samples, const StemC
       near.push_back(sample);
     }
   }
-  return near;
+  return CurveSamples(std::move(near));
 }
 
 /// Fits a stretch of a way along the plant with several radii.
-std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCurve& way,
+std::vector<Hypothesis> fitStretch(const CurveSamples& near, const StemCurve& way,
                                    const Scale& scale, double low, double high) {
-  std::vector<Sample> local;
+  std::vector<Sample> within;
   for (const Sample& sample : near) {
     if (sample.height > high) break;
     if (sample.height < low) continue;
-    local.push_back(sample);
-    local.back().height -= low;
+    within.push_back(sample);
+    within.back().height -= low;
   }
-  if (local.size() < kMinPoints) return {};
+  if (within.size() < kMinPoints) return {};
   StemCurve line;
   line.spacing = (high - low) / std::ceil((high - low) / way.spacing);
   for (double at = low; at < high + 0.5 * line.spacing; at += line.spacing) {
     line.centers.push_back(way.centerAt(at));
   }
-  placeOn(line, scale, local);
+  placeOn(line, scale, within);
+  const CurveSamples local(std::move(within));
   CurveFit blob(local, line, scale);
   blob.setActive(0.0, high - low);
   for (const double width : {0.42, 0.35, 0.29}) blob.fitBlob(width * scale.reach);
@@ -621,7 +544,7 @@ std::vector<Hypothesis> fitStretch(const std::vector<Sample>& near, const StemCu
 /// speak for, and the one that stands best on the soil, if it is another. The first may be a leaf.
 /// @param samples by height, placed on the nodes of `start`
 /// @param foot    of densestFoot(), for young plants
-std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, const StemCurve& start,
+std::vector<Hypothesis> likelyStretches(const CurveSamples& samples, const StemCurve& start,
                                         const Eigen::Vector2d& foot, const Eigen::Vector2d& upright,
                                         const Scale& scale) {
   std::vector<Hypothesis> best;  // by evidence, by rooted evidence
@@ -642,7 +565,7 @@ std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, cons
       }
     }
   };
-  const std::vector<Sample> near = samplesAlong(samples, start, scale);
+  const CurveSamples near = samplesAlong(samples, start, scale);
   const double length = start.length();
   const double last = std::max(0.0, length - scale.stretch);
   const auto steps = static_cast<int>(std::ceil(last / (0.5 * scale.stretch)));
@@ -668,7 +591,7 @@ std::vector<Hypothesis> likelyStretches(const std::vector<Sample>& samples, cons
 }
 
 /// From a sure stretch up and down, straight on until points say otherwise; not into an open whorl.
-void extend(Hypothesis& stem, const std::vector<Sample>& samples, const Scale& scale) {
+void extend(Hypothesis& stem, const CurveSamples& samples, const Scale& scale) {
   CurveFit& fit = stem.fit;
   fit = fit.over(samples);
   double top = fit.length() + scale.spacing;
@@ -738,13 +661,14 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
                    float max_radius, float plant_height) {
   const ChordFrame frame(prior);
   const Scale scale(max_radius, plant_height);
-  std::vector<Sample> samples = samplesOf(points, members, frame, scale);
-  if (samples.size() < kMinPoints) return unfitted(prior, max_radius);
+  std::vector<Sample> found = samplesOf(points, members, frame, scale);
+  if (found.size() < kMinPoints) return unfitted(prior, max_radius);
 
-  const Eigen::Vector2d foot = scale.young ? densestFoot(samples, frame.upright(), scale)
+  const Eigen::Vector2d foot = scale.young ? densestFoot(found, frame.upright(), scale)
                                            : Eigen::Vector2d(Eigen::Vector2d::Zero());
   const StemCurve start = curveAlong(prior, frame, scale.spacing);
-  placeOn(start, scale, samples);
+  placeOn(start, scale, found);
+  const CurveSamples samples(std::move(found));
 
   // 1. Stretches that are surely stem, or a leaf.
   std::vector<Hypothesis> stems = likelyStretches(samples, start, foot, frame.upright(), scale);
@@ -765,10 +689,11 @@ Midline followMidline(const std::vector<Eigen::Vector3f>& points,
                       float max_radius, float plant_height) {
   const ChordFrame frame(known);
   const Scale scale(max_radius, plant_height);
-  std::vector<Sample> samples = samplesOf(points, members, frame, scale);
-  if (samples.size() < kMinPoints) return unfitted(known, max_radius);
+  std::vector<Sample> found = samplesOf(points, members, frame, scale);
+  if (found.size() < kMinPoints) return unfitted(known, max_radius);
   const StemCurve start = curveAlong(known, frame, scale.spacing);
-  placeOn(start, scale, samples);
+  placeOn(start, scale, found);
+  const CurveSamples samples(std::move(found));
   Hypothesis best{CurveFit(samples, start, scale)};
   double most = -1.0;
   for (const double radius : {0.2, 0.3, 0.42, 0.58, 0.8}) {

@@ -1,23 +1,6 @@
 #include "field_phenotyping/segmentation/neighborhood.hpp"
 
 namespace field_phenotyping {
-namespace {
-
-constexpr std::size_t kBytes = 16U;  // of the vectors that every 64-bit processor has
-using Floats = float __attribute__((vector_size(kBytes)));
-using Integers = std::int32_t __attribute__((vector_size(kBytes)));
-
-template <class Lanes, class Value>
-Lanes load(const std::vector<Value>& values, std::size_t k) {
-  return Lanes{values[k], values[k + 1U], values[k + 2U], values[k + 3U]};
-}
-
-float total(const Floats& lanes) {
-  return (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
-}
-
-}  // namespace
-
 void Neighborhood::add(const Eigen::Vector3f& point, std::int32_t tag) {
   if (count_ == x_.size()) {
     const std::size_t size = 2U * count_ + 64U;
@@ -33,18 +16,17 @@ void Neighborhood::add(const Eigen::Vector3f& point, std::int32_t tag) {
 
 Moments Neighborhood::momentsAbout(const Eigen::Vector3f& place, float radius,
                                    std::int32_t tag) const {
-  static_assert(kLanes * sizeof(float) == kBytes, "a vector holds one value per lane");
   Floats count{}, sum_x{}, sum_y{}, sum_z{}, xx{}, yy{}, zz{}, xy{}, yz{}, zx{};
-  const Floats limit = Floats{} + radius * radius;
-  const Floats one = Floats{} + 1.0F;
+  const Floats limit = allOf(radius * radius);
+  const Floats one = allOf(1.0F);
   const Floats none{};
-  const Integers wanted = Integers{} + tag;
+  const Integers wanted = allOf(tag);
   for (std::size_t k = 0; k < count_; k += kLanes) {
-    Floats x = load<Floats>(x_, k) - place.x();
-    Floats y = load<Floats>(y_, k) - place.y();
-    Floats z = load<Floats>(z_, k) - place.z();
+    Floats x = loadFloats(&x_[k]) - place.x();
+    Floats y = loadFloats(&y_[k]) - place.y();
+    Floats z = loadFloats(&z_[k]) - place.z();
     const Integers counts =
-        (x * x + (y * y + z * z) <= limit) & (load<Integers>(tags_, k) == wanted);
+        (x * x + (y * y + z * z) <= limit) & (loadIntegers(&tags_[k]) == wanted);
     x = counts ? x : none;
     y = counts ? y : none;
     z = counts ? z : none;

@@ -5,6 +5,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/lanes.hpp"
+
 namespace field_phenotyping {
 
 /// Sums over the neighbours of a point, of their offsets from it [m]: so floats stay precise
@@ -49,7 +51,6 @@ class Neighborhood {
   Moments momentsAbout(const Eigen::Vector3f& place, float radius, std::int32_t tag) const;
 
  private:
-  static constexpr std::size_t kLanes = 4U;
   static constexpr std::int32_t kNoTag = -2;
 
   std::size_t count_ = 0U;

@@ -88,9 +88,10 @@ struct StemCurve {
     return centerAt(Place{sample.node, sample.share});
   }
   double length() const { return spacing * static_cast<double>(centers.size() - 1U); }
-  double radiusAt(double height) const {
+  double radiusAt(double height) const { return std::max(radius + taper * height, thinnest()); }
+  double thinnest() const {
     constexpr double kThinnest = 0.25;  // of the radius at the base
-    return std::max(radius + taper * height, kThinnest * radius);
+    return kThinnest * radius;
   }
 };
 
