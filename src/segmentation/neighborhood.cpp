@@ -1,17 +1,10 @@
 #include "field_phenotyping/segmentation/neighborhood.hpp"
 
 namespace field_phenotyping {
-void Neighborhood::add(const Eigen::Vector3f& point, std::int32_t tag) {
-  if (count_ == x_.size()) {
-    const std::size_t size = 2U * count_ + 64U;
-    for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(size);
-    tags_.resize(size);
-  }
-  x_[count_] = point.x();
-  y_[count_] = point.y();
-  z_[count_] = point.z();
-  tags_[count_] = tag;
-  ++count_;
+void Neighborhood::grow() {
+  const std::size_t size = 2U * count_ + 64U;
+  for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(size);
+  tags_.resize(size);
 }
 
 Moments Neighborhood::momentsAbout(const Eigen::Vector3f& place, float radius,

@@ -340,17 +340,19 @@ double RowModel::intervalOdds(const Eigen::Vector2d& position,
   return odds;
 }
 
-double RowModel::mostOdds() const {
-  const double in_row =
-      std::max(in_rows_ * row_spacing_ * gaussian(0.0, row_scatter_) + 1.0 - in_rows_, 1.0);
-  if (!(plant_spacing_ > 0.0)) return in_row;
+double RowModel::mostRowOdds() const {
+  return std::max(in_rows_ * row_spacing_ * gaussian(0.0, row_scatter_) + 1.0 - in_rows_, 1.0);
+}
+
+double RowModel::mostIntervalOdds() const {
+  if (!(plant_spacing_ > 0.0)) return 1.0;
   Multiples highest;
   for (std::size_t k = 0; k < highest.size(); ++k) {
     highest[k] =
         gaussian(0.0, std::sqrt(static_cast<double>(k + 1U)) * spacing_scatter_ * plant_spacing_);
   }
-  const double interval = plant_spacing_ * intervalDensity(0.0, highest);
-  return in_row * interval * interval;
+  const double one_side = plant_spacing_ * intervalDensity(0.0, highest);
+  return one_side * one_side;
 }
 
 double RowModel::spacingOdds(const Eigen::Vector2d& position,

@@ -197,21 +197,22 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
   const auto likeliest = std::max_element(scores.begin(), scores.end());
   auto best = static_cast<std::size_t>(likeliest - scores.begin());
   if (stand.rows) {
-    const auto withRows = [&](std::size_t k) {
-      const Eigen::Vector2d foot = (middle.head<2>() - height * slopes.at(k)).cast<double>();
-      return scores[k] + std::log(stand.rows->rowOdds(foot)) +
-             std::log(stand.rows->intervalOdds(foot, stand.plants));
-    };
     // Only those are asked for that the best place in the best row could make the best.
-    const double most_gain = std::log(stand.rows->mostOdds());
-    double most = withRows(best);
-    for (std::size_t k = 0; k < scores.size(); ++k) {
-      if (scores[k] + most_gain <= most) continue;
-      const double score = withRows(k);
-      if (score <= most) continue;
+    const double most_row_gain = std::log(stand.rows->mostRowOdds());
+    const double most_interval_gain = std::log(stand.rows->mostIntervalOdds());
+    double most = -std::numeric_limits<double>::infinity();
+    const auto offer = [&](std::size_t k) {
+      if (scores[k] + most_row_gain + most_interval_gain <= most) return;
+      const Eigen::Vector2d foot = (middle.head<2>() - height * slopes.at(k)).cast<double>();
+      const double in_row = scores[k] + std::log(stand.rows->rowOdds(foot));
+      if (in_row + most_interval_gain <= most) return;
+      const double score = in_row + std::log(stand.rows->intervalOdds(foot, stand.plants));
+      if (score <= most) return;
       most = score;
       best = k;
-    }
+    };
+    offer(best);
+    for (std::size_t k = 0; k < scores.size(); ++k) offer(k);
   }
   const Eigen::Vector2f slope = slopes.at(best);
 

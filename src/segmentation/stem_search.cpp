@@ -161,9 +161,9 @@ void moveFoot(Midline& midline, const Eigen::Vector2f& by) {
 }
 
 /// Settles the feet that are guessed once more, now that all their neighbours are known.
-void settleAmongNeighbors(const GrowthScene& scene, const Block& block,
-                          const SegmentationParameters& parameters, std::vector<GrownStem>& stems) {
-  Stand stand = standOf(block, stems, parameters);
+/// @param stand of `stems`
+void settleAmongNeighbors(const GrowthScene& scene, const Block& block, Stand stand,
+                          std::vector<GrownStem>& stems) {
   std::vector<Eigen::Vector2d> bases = stand.plants;
   for (std::size_t s = 0; s < stems.size(); ++s) {
     if (!(stems[s].midline.hidden > 0.0F)) continue;
@@ -226,12 +226,13 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
   Stand stand = standOf(block, onlyStems(selection, stems), parameters);
   settleFeet(scene, block, stand, parameters, stems);
   stems = onlyStems(selection, std::move(stems));
+  stand = standOf(block, stems, parameters);
   const auto select = [&](std::vector<GrownStem> more) {
+    if (more.empty()) return;
     std::move(more.begin(), more.end(), std::back_inserter(stems));
     stems = onlyStems(selection, std::move(stems));
     stand = standOf(block, stems, parameters);
   };
-  stand = standOf(block, stems, parameters);
   select(growHanging(scene, block, seeds, stand, stems, plant_height, parameters));
   // Again where nothing was found, knowing the stand, then with other evidence.
   for (const SeedEvidence evidence : {SeedEvidence::kUpright, SeedEvidence::kDensity}) {
@@ -246,7 +247,7 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
     std::move(free.begin(), free.end(), std::back_inserter(more));
     select(std::move(more));
   }
-  settleAmongNeighbors(scene, block, parameters, stems);
+  settleAmongNeighbors(scene, block, std::move(stand), stems);
   std::sort(stems.begin(), stems.end(), [](const GrownStem& a, const GrownStem& b) {
     const Eigen::Vector3f low_a = a.midline.axis.nodes().front().position;
     const Eigen::Vector3f low_b = b.midline.axis.nodes().front().position;

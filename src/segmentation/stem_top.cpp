@@ -14,9 +14,9 @@ namespace {
 struct Place {
   double arc_length;
   double distance;
-  double core;     // [m] radius within which hardly anything but the stem has points
-  double skin;     // [m] radius within which points may be the stem's
-  double azimuth;  // [rad] about the axis
+  double core;           // [m] radius within which hardly anything but the stem has points
+  double skin;           // [m] radius within which points may be the stem's
+  Eigen::Vector2d away;  // [m] horizontally from the axis
 };
 
 std::vector<Place> placesOf(const std::vector<Eigen::Vector3f>& points,
@@ -30,18 +30,35 @@ std::vector<Place> placesOf(const std::vector<Eigen::Vector3f>& points,
     places.push_back({static_cast<double>(at.arc_length), static_cast<double>(at.distance),
                       static_cast<double>(at.radius + 0.5F * midline.spread),
                       static_cast<double>(at.radius + 2.0F * midline.spread),
-                      std::atan2(static_cast<double>(away.y()), static_cast<double>(away.x()))});
+                      away.head<2>().cast<double>()});
   }
   return places;
 }
 
-/// Log probability of a count under a negative binomial with that mean: stems hide behind leaves,
-/// so counts vary far more than by chance alone.
-double logCount(double count, double mean, double shape) {
-  const double share = mean / (mean + shape);
-  return std::lgamma(count + shape) - std::lgamma(shape) - std::lgamma(count + 1.0) +
-         count * std::log(share) + shape * std::log1p(-share);
-}
+/// How much likelier a count is under one negative binomial than under another: stems hide behind
+/// leaves, so counts vary far more than by chance alone.
+class LogOdds {
+ public:
+  LogOdds(double shape, double other_shape) : shape_(shape), other_shape_(other_shape) {}
+
+  double operator()(double count, double mean, double other_mean) {
+    const auto whole = static_cast<std::size_t>(count);
+    // The quotients of gamma functions grow by one factor per count.
+    while (of_gamma_.size() <= whole) {
+      const auto below = static_cast<double>(of_gamma_.size() - 1U);
+      of_gamma_.push_back(of_gamma_.back() + std::log((below + shape_) / (below + other_shape_)));
+    }
+    const double share = mean / (mean + shape_);
+    const double other_share = other_mean / (other_mean + other_shape_);
+    return of_gamma_[whole] + count * std::log(share / other_share) + shape_ * std::log1p(-share) -
+           other_shape_ * std::log1p(-other_share);
+  }
+
+ private:
+  double shape_;
+  double other_shape_;
+  std::vector<double> of_gamma_{0.0};  // by count
+};
 
 /// Points in the core of every band, and how many leaves as dense as those in the ring just outside
 /// the skin would put there; the first band begins at `start`.
@@ -107,6 +124,8 @@ double occupiedLength(const std::vector<Place>& places, double length, double le
   constexpr double kStemShape = 0.8;
   constexpr double kOtherShape = 0.5;
 
+  LogOdds log_odds(kStemShape, kOtherShape);
+
   double best = log_prior(0.0);
   double end = 0.0;
   constexpr int kPhases = 4;  // cuts closer than a band apart
@@ -116,8 +135,7 @@ double occupiedLength(const std::vector<Place>& places, double length, double le
     double sum = 0.0;
     for (std::size_t k = 0; k < counts.core.size(); ++k) {
       const double leaves = is_dense ? leaf_density * counts.by_leaves[k] : 0.0;
-      sum += logCount(counts.core[k], stem_mean + leaves, kStemShape) -
-             logCount(counts.core[k], kOtherShare * stem_mean + leaves, kOtherShape);
+      sum += log_odds(counts.core[k], stem_mean + leaves, kOtherShare * stem_mean + leaves);
       const double cut = start + static_cast<double>(k + 1U) * band_height;
       const double score = sum + log_prior(cut);
       if (score <= best) continue;
@@ -170,7 +188,7 @@ Rings countRings(const std::vector<Place>& places, double length) {
       continue;
     }
     const auto step = static_cast<std::size_t>(place.arc_length / kRingStep);
-    const double turn = (place.azimuth + M_PI) / (2.0 * M_PI);
+    const double turn = (std::atan2(place.away.y(), place.away.x()) + M_PI) / (2.0 * M_PI);
     rings.counts[step] += 1.0;
     rings.sectors[step][std::min(static_cast<std::size_t>(turn * kSectors), kSectors - 1U)] += 1.0;
   }

@@ -41,7 +41,14 @@ class Neighborhood {
  public:
   void clear() { count_ = 0U; }
   /// @param tag says which group the point belongs to, >= 0
-  void add(const Eigen::Vector3f& point, std::int32_t tag);
+  void add(const Eigen::Vector3f& point, std::int32_t tag) {
+    if (count_ == x_.size()) grow();
+    x_[count_] = point.x();
+    y_[count_] = point.y();
+    z_[count_] = point.z();
+    tags_[count_] = tag;
+    ++count_;
+  }
   /// To be called after the last add(): fills the lanes that are left.
   void close() {
     while (count_ % kLanes != 0U) add(Eigen::Vector3f::Zero(), kNoTag);
@@ -52,6 +59,8 @@ class Neighborhood {
 
  private:
   static constexpr std::int32_t kNoTag = -2;
+
+  void grow();
 
   std::size_t count_ = 0U;
   std::vector<float> x_;

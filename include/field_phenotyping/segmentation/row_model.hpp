@@ -54,8 +54,9 @@ class RowModel {
   /// the row stand.
   double intervalOdds(const Eigen::Vector2d& position,
                       const std::vector<Eigen::Vector2d>& others) const;
-  /// Bound of rowOdds() times intervalOdds() of any place.
-  double mostOdds() const;
+  /// Bounds of rowOdds() and of intervalOdds() of any place.
+  double mostRowOdds() const;
+  double mostIntervalOdds() const;
 
  private:
   struct Fit;
