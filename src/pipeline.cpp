@@ -103,7 +103,7 @@ struct Tiling {
 };
 
 /// Margins are worked by all tiles that they lie in: tiles begin where fewest cover the cloud, and
-/// are up to half as wide again as asked for where that leaves less to work. There are no scans to
+/// are up to twice as wide as asked for where that leaves less to work. There are no scans to
 /// wait for.
 Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& parameters) {
   const Eigen::Array2d least(parameters.min_x, parameters.min_y);
@@ -124,7 +124,7 @@ Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& paramet
     return (extent + 2.0 * parameters.block_margin * (tilesOf(edge) - 1.0)).prod();
   };
   constexpr int kSteps = 10;
-  constexpr double kWidest = 1.5;  // of what is asked for
+  constexpr double kWidest = 2.0;  // of what is asked for
   double edge = wanted;
   for (int k = 1; k <= kSteps; ++k) {
     const double wider = wanted * (1.0 + (kWidest - 1.0) * k / kSteps);

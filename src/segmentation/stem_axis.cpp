@@ -41,7 +41,14 @@ float StemAxis::radiusAt(float s) const {
 
 Eigen::Vector3f StemAxis::pointAtHeight(float z) const {
   std::size_t i = 0;
-  while (i + 2 < nodes_.size() && nodes_[i + 1].position.z() < z) ++i;
+  if (rising_) {
+    const auto above =
+        std::lower_bound(nodes_.begin() + 1, nodes_.end() - 1, z,
+                         [](const Node& node, float height) { return node.position.z() < height; });
+    i = static_cast<std::size_t>(above - nodes_.begin()) - 1U;
+  } else {
+    while (i + 2 < nodes_.size() && nodes_[i + 1].position.z() < z) ++i;
+  }
   const Eigen::Vector3f& low = nodes_[i].position;
   const Eigen::Vector3f step = nodes_[i + 1].position - low;
   if (!(step.z() > 0.0F)) return {low.x(), low.y(), z};
