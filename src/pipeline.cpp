@@ -103,8 +103,9 @@ struct Tiling {
 };
 
 /// Margins are worked by all tiles that they lie in: tiles begin where fewest cover the cloud, and
-/// are up to twice as wide as asked for where that leaves less to work. There are no scans to
-/// wait for.
+/// are up to half as wide again as asked for where that leaves less to work, and up to twice as
+/// wide where it leaves much less: they are also what processors share. There are no scans to wait
+/// for.
 Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& parameters) {
   const Eigen::Array2d least(parameters.min_x, parameters.min_y);
   const Eigen::Array2d most(parameters.max_x, parameters.max_y);
@@ -123,12 +124,15 @@ Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& paramet
   const auto workOf = [&](double edge) {
     return (extent + 2.0 * parameters.block_margin * (tilesOf(edge) - 1.0)).prod();
   };
-  constexpr int kSteps = 10;
-  constexpr double kWidest = 2.0;  // of what is asked for
+  constexpr int kSteps = 20;
+  constexpr double kWide = 1.5;    // of what is asked for
+  constexpr double kWidest = 2.0;  // the same
+  constexpr double kMuch = 0.1;    // of the work
   double edge = wanted;
   for (int k = 1; k <= kSteps; ++k) {
     const double wider = wanted * (1.0 + (kWidest - 1.0) * k / kSteps);
-    if (workOf(wider) < workOf(edge)) edge = wider;
+    const double gain = wider > kWide * wanted ? kMuch : 0.0;
+    if (workOf(wider) < (1.0 - gain) * workOf(edge)) edge = wider;
   }
   return {edge, low - 0.5 * (tilesOf(edge) * edge - extent)};
 }
