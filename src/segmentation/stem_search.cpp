@@ -34,6 +34,10 @@ StemAxis axisFromSeeds(const StemSeeds& seeds, const GroundModel& ground, float 
   return StemAxis(std::move(nodes));
 }
 
+bool beginsHigh(const StemSeeds& seeds, const GroundModel& ground, float plant_height) {
+  return ground.heightAbove(seeds.points.front()) > kHighSeeds * plant_height;
+}
+
 /// Step 1: the start points give the axis prior, the points round it the midline and where it ends.
 Midline findMidline(const GrowthScene& scene, const StemAxis& prior, float max_radius,
                     float plant_height) {
@@ -99,10 +103,6 @@ void settleFeet(const GrowthScene& scene, const Block& block, Stand stand,
     GrownStem settled = growCandidate(scene, std::move(midline), parameters);
     if (!settled.points.empty()) candidates[c] = std::move(settled);
   });
-}
-
-bool beginsHigh(const StemSeeds& seeds, const GroundModel& ground, float plant_height) {
-  return ground.heightAbove(seeds.points.front()) > kHighSeeds * plant_height;
 }
 
 /// The midline along an axis that is known within millimetres.
@@ -197,6 +197,35 @@ std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
 
 }  // namespace
 
+std::vector<StemSeeds> withoutFloating(std::vector<StemSeeds> seeds,
+                                       const std::vector<GrownStem>& stand,
+                                       const GroundModel& ground, const Canopy& canopy,
+                                       float plant_height) {
+  constexpr std::ptrdiff_t kOneIn = 20;  // stems may hide its foot
+  const auto hidden = std::count_if(
+      stand.begin(), stand.end(), [](const GrownStem& stem) { return stem.midline.hidden > 0.0F; });
+  constexpr std::size_t kLeastStems = 5U;  // that show how a stand is seen
+  if (stand.size() < kLeastStems || kOneIn * hidden > static_cast<std::ptrdiff_t>(stand.size())) {
+    return seeds;
+  }
+  constexpr float kStep = 0.05F;  // [m]
+  constexpr float kSeen = 0.9F;   // of the way down
+  const auto floats = [&](const StemSeeds& one) {
+    if (!beginsHigh(one, ground, plant_height)) return false;
+    const Eigen::Vector3f& low = one.points.front();
+    const float height = ground.heightAbove(low);
+    float light = 0.0F;
+    float steps = 0.0F;
+    for (float below = 0.0F; below < height; below += kStep) {
+      light += canopy.lightAround(low - below * Eigen::Vector3f::UnitZ());
+      steps += 1.0F;
+    }
+    return light >= kSeen * steps;
+  };
+  seeds.erase(std::remove_if(seeds.begin(), seeds.end(), floats), seeds.end());
+  return seeds;
+}
+
 std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<GrownStem> grown) {
   std::vector<StemCandidate> candidates;
   for (const GrownStem& stem : grown) candidates.push_back({stem.midline, stem.points});
@@ -233,12 +262,16 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
     stems = onlyStems(selection, std::move(stems));
     stand = standOf(block, stems, parameters);
   };
+  const auto onStems = [&](std::vector<StemSeeds> found) {
+    return withoutFloating(std::move(found), stems, block.ground, selection.canopy(), plant_height);
+  };
+  seeds = onStems(std::move(seeds));
   select(growHanging(scene, block, seeds, stand, stems, plant_height, parameters));
   // Again where nothing was found, knowing the stand, then with other evidence.
   for (const SeedEvidence evidence : {SeedEvidence::kUpright, SeedEvidence::kDensity}) {
     const std::size_t most = 8U + stems.size();  // few are missing where many were found
-    seeds = findStemSeeds(block, shapes, upright, parameters, evidence, stand.lean,
-                          explainedPoints(scene, stems), most);
+    seeds = onStems(findStemSeeds(block, shapes, upright, parameters, evidence, stand.lean,
+                                  explainedPoints(scene, stems), most));
     std::vector<GrownStem> more =
         growHanging(scene, block, seeds, stand, stems, plant_height, parameters);
     std::vector<GrownStem> free =

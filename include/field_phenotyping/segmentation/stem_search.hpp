@@ -6,6 +6,7 @@
 #include "field_phenotyping/preprocessing/block.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
+#include "field_phenotyping/segmentation/stem_seeds.hpp"
 #include "field_phenotyping/segmentation/stem_verification.hpp"
 
 namespace field_phenotyping {
@@ -21,6 +22,15 @@ constexpr float kBeyondEnd = 0.2F;  ///< of a plant's height, that a stem may go
 std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
                                  const StemSelection& selection, float plant_height,
                                  const SegmentationParameters& parameters);
+
+/// Leaves out start points high up, where some stems of the stand were found and their feet are
+/// seen, and where the canopy lets what is below be seen: a stem would show there.
+/// @param stand        stems that were found
+/// @param plant_height about how high the plants are [m]
+std::vector<StemSeeds> withoutFloating(std::vector<StemSeeds> seeds,
+                                       const std::vector<GrownStem>& stand,
+                                       const GroundModel& ground, const Canopy& canopy,
+                                       float plant_height);
 
 /// Those of the candidates that are stems.
 std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<GrownStem> grown);

@@ -60,6 +60,8 @@ class StemSelection {
   StemSelection(const Block& block, const NeighborGrid& grid,
                 const SegmentationParameters& parameters);
 
+  const Canopy& canopy() const { return canopy_; }
+
   /// Which candidates are stems; ascending indices.
   std::vector<std::size_t> stemsAmong(const std::vector<StemCandidate>& candidates) const;
 
