@@ -109,8 +109,13 @@ class SurfaceFit {
   }
 
   static std::size_t sectorOf(const Eigen::Vector2d& away) {
-    const double turn = 0.5 + std::atan2(away.y(), away.x()) / (2.0 * M_PI);
-    return std::min(static_cast<std::size_t>(turn * static_cast<double>(kSectors)), kSectors - 1U);
+    static_assert(kSectors == 6U, "three sectors on either side of the x axis");
+    constexpr double kTan60 = 1.7320508075688772;
+    const double aside = std::abs(away.y());
+    const std::size_t from_x = aside < kTan60 * away.x()    ? 0U
+                               : aside < -kTan60 * away.x() ? 2U
+                                                            : 1U;
+    return away.y() < 0.0 ? 2U - from_x : 3U + from_x;
   }
 
   void iterate(double highest, bool with_spread) {

@@ -160,13 +160,13 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
 
 /// Widens the neighbourhood and the slabs that seeds are found in where the cloud is too sparse for
 /// the ones asked for to show a stem's shape.
+/// @param grid over the points
 SegmentationParameters adaptToDensity(const std::vector<Eigen::Vector3f>& points,
-                                      SegmentationParameters parameters) {
+                                      const NeighborGrid& grid, SegmentationParameters parameters) {
   constexpr std::size_t kSamples = 500U;
   constexpr std::uint32_t kEnoughNeighbors = 14U;
   constexpr double kWiden = 1.5;
   const auto radius = static_cast<float>(parameters.seed_radius);
-  const NeighborGrid grid(points, radius);
   std::vector<std::uint32_t> counts;
   for (std::size_t i = 0; i < points.size();
        i += std::max<std::size_t>(1U, points.size() / kSamples)) {
@@ -196,9 +196,11 @@ SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters 
 SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wanted) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   if (points.empty()) return assemble(block, {}, {}, {});
-  SegmentationParameters parameters = adaptToDensity(points, wanted);
+  constexpr float kCell = 0.5F;  // of the radius of most queries
+  NeighborGrid grid(points, kCell * static_cast<float>(wanted.seed_radius));
+  SegmentationParameters parameters = adaptToDensity(points, grid, wanted);
   const auto radius = static_cast<float>(parameters.seed_radius);
-  const NeighborGrid grid(points, 0.5F * radius);
+  if (parameters.seed_radius != wanted.seed_radius) grid = NeighborGrid(points, kCell * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);
   const GrowthScene scene{points, shapes, grid};
   const float plant_height = canopyHeight(scene, block.ground);
