@@ -70,7 +70,7 @@ float halfAngle(float radius, float up, float beyond) {
 Influence influenceOf(const LeafBase& base, const Place& place, float spread) {
   Influence influence;
   const float above = place.arc_length - base.arc_length;
-  const float blur = std::hypot(spread, kLeafSpread);
+  const float blur = std::sqrt(spread * spread + kLeafSpread * kLeafSpread);
   if (above < -2.0F * blur || above > kLongest) return influence;
   constexpr float kHidesAll = 1.0F;  // [rad] from its midrib a clasping leaf hides what it can
   constexpr float kHidesNone = 1.75F;
@@ -118,16 +118,18 @@ class Votes {
 
   void clear() { std::fill(votes_.begin(), votes_.end(), 0.0F); }
 
-  /// For that place, and for directions up to a quarter turn aside.
+  /// For that place, one step up and down, and directions up to a quarter turn aside.
   void add(float arc_length, float azimuth) {
-    const float at = (arc_length - lowest_) / kStep;
-    if (at < 0.0F) return;
-    const auto row = static_cast<std::size_t>(at);
+    const float steps = (arc_length - lowest_) / kStep;
+    if (steps < 0.0F) return;
+    const auto row = static_cast<std::size_t>(steps);
     const auto direction =
         static_cast<std::size_t>((azimuth + kPi) / (2.0F * kPi) * static_cast<float>(kDirections));
     constexpr std::array<float, 5> kWeights{0.5F, 1.0F, 1.0F, 1.0F, 0.5F};
-    for (std::size_t k = 0; k < kWeights.size(); ++k) {
-      votes_[row * kDirections + (direction + kDirections + k - 2U) % kDirections] += kWeights[k];
+    for (std::size_t r = row - std::min<std::size_t>(row, 1U); r <= row + 1U && r < rows_; ++r) {
+      for (std::size_t k = 0; k < kWeights.size(); ++k) {
+        votes_[r * kDirections + (direction + kDirections + k - 2U) % kDirections] += kWeights[k];
+      }
     }
   }
 
@@ -136,7 +138,7 @@ class Votes {
   void forEachPeak(float least, Visit&& visit) const {
     for (std::size_t row = 0; row < rows_; ++row) {
       for (std::size_t d = 0; d < kDirections; ++d) {
-        if (!(sumAt(row, d) >= least && isPeak(row, d))) continue;
+        if (!(at(row, d) >= least && isPeak(row, d))) continue;
         visit(lowest_ + (static_cast<float>(row) + 0.5F) * kStep,
               (static_cast<float>(d) + 0.5F) * 2.0F * kPi / static_cast<float>(kDirections) - kPi);
       }
@@ -144,21 +146,17 @@ class Votes {
   }
 
  private:
-  float sumAt(std::size_t row, std::size_t direction) const {
-    float sum = 0.0F;
-    for (std::size_t r = row - std::min<std::size_t>(row, 1U); r <= row + 1U && r < rows_; ++r) {
-      sum += votes_[r * kDirections + direction];
-    }
-    return sum;
+  float at(std::size_t row, std::size_t direction) const {
+    return votes_[row * kDirections + direction];
   }
 
   bool isPeak(std::size_t row, std::size_t direction) const {
     constexpr std::size_t kRows = 2U;
-    const float here = sumAt(row, direction);
+    const float here = at(row, direction);
     for (std::size_t r = row - std::min(row, kRows); r <= row + kRows && r < rows_; ++r) {
       for (std::size_t turn = kDirections - 1U; turn <= kDirections + 1U; ++turn) {
         if (r == row && turn == kDirections) continue;
-        const float there = sumAt(r, (direction + turn) % kDirections);
+        const float there = at(r, (direction + turn) % kDirections);
         // Of equals the first.
         const bool later = r > row || (r == row && turn > kDirections);
         if (there > here || (there == here && !later)) return false;
@@ -271,7 +269,8 @@ class Search {
   float evidenceWithin(const LeafBase& base, float reach) const {
     const float spread = around_.spread;
     const float tallest = std::min(kLongest, reach / base.slope);
-    float sum = 0.0F;
+    double sum = 0.0;
+    double odds = 1.0;
     float radius = 0.0F;
     std::size_t i = firstAt(base.arc_length - 2.0F * spread);
     for (; i < around_.places.size(); ++i) {
@@ -285,11 +284,18 @@ class Search {
       const float before = (1.0F - hidden_[i]) * stem_[i] + others;
       const float after = (1.0F - std::max(hidden_[i], influence.hidden)) * stem_[i] + others +
                           around_.stem_density * influence.leaf;
-      sum += std::log(after / before);
+      // One logarithm for many points.
+      odds *= static_cast<double>(after / before);
+      constexpr double kMost = 1e200;
+      if (odds > kMost || odds < 1.0 / kMost) {
+        sum += std::log(odds);
+        odds = 1.0;
+      }
     }
     if (!(radius > 0.0F)) return 0.0F;
-    return sum + around_.stem_density *
-                     (hiddenBy(base, radius, tallest) - sheetOf(base, radius, tallest));
+    return static_cast<float>(sum + std::log(odds)) +
+           around_.stem_density *
+               (hiddenBy(base, radius, tallest) - sheetOf(base, radius, tallest));
   }
 
   /// Points that a leaf adds up to there, of a stem's density of 1 [m^2].
