@@ -72,7 +72,7 @@ float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midli
   // Nothing but the stem itself lies within.
   const float scale = std::hypot(midline.spread, 0.07F * at.radius);
   const float away = std::max(at.distance - at.radius, 0.0F) / scale;
-  constexpr float kSoftness = 0.15F;  // similarity 0.5 at two standard deviations
+  constexpr float kSoftness = 0.10F;  // similarity 0.5 at two and a half standard deviations
   const float on_surface = std::exp(-kSoftness * away * away);
 
   const float across = 1.0F - std::abs(shape.normal.dot(at.direction));

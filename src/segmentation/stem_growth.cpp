@@ -12,9 +12,10 @@
 namespace field_phenotyping {
 namespace {
 
+constexpr float kMostM = 0.95F;
+
 /// M of a segment: a share of the stem's.
 float segmentM(const StemSegment& segment, float M, const SegmentationParameters& parameters) {
-  constexpr float kMostM = 0.95F;
   const double share = segment.branching ? parameters.M_branching : parameters.M_internode;
   return std::min(static_cast<float>(share) * M, kMostM);
 }
@@ -94,7 +95,10 @@ GrowthSummary summarise(const GrowthSettings& settings, float quality, std::uint
 
 GrownStem growCandidate(const GrowthScene& scene, Midline midline,
                         const SegmentationParameters& parameters) {
-  const GrowthSettings settings(parameters);
+  // Its leaf bases are not known yet, so less is believed of what lies off its surface.
+  constexpr float kStricter = 1.2F;
+  GrowthSettings settings(parameters);
+  settings.M = std::min(kStricter * settings.M, kMostM);
   std::vector<GrowthRegion> regions;
   const StemScene stem_scene(scene, midline);
   const std::vector<StemAxis::Node>& nodes = midline.axis.nodes();
