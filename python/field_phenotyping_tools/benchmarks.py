@@ -1,5 +1,6 @@
 """What the benchmark programs share: fields, runs of the programs, and tables of their figures."""
 
+import argparse
 import json
 import os
 import shutil
@@ -142,3 +143,91 @@ def print_header(first, columns):
 
 def print_row(label, columns, figures):
     print('| {} |'.format(' | '.join([label] + [text(figures) for _, text in columns])), flush=True)
+
+
+def note_load():
+    """Says so where more was running than there are cores, for then seconds mean little."""
+    load, cores = os.getloadavg()[0], os.cpu_count() or 1
+    if load > cores + 0.5:
+        print(
+            '\nBUSY: load {:.1f} on {} cores; do not trust the seconds above.'.format(load, cores),
+            flush=True,
+        )
+
+
+def real_data():
+    """Folder of the real clouds; None, with a word about it, where it is not there."""
+    data = os.environ.get('FIELD_PHENOTYPING_DATA') or _default_data()
+    if os.path.isdir(data):
+        return data
+    print(
+        '\nSKIPPED real: the real clouds are not at {}. Set FIELD_PHENOTYPING_DATA to their '
+        'folder.'.format(os.path.abspath(data)),
+        flush=True,
+    )
+    return None
+
+
+def _default_data():
+    """Beside the checkout, where the tests look too."""
+    package = os.path.dirname(os.path.realpath(__file__))
+    return os.path.join(package, '..', '..', '..', 'shared', 'data')
+
+
+def main(program, description, tables, pictures, figures, duration):
+    """Command line of a benchmark program: prints some of its tables, or all. Returns its status.
+
+    tables: {name: function of a Bench and the folder for pictures that returns figures}
+    pictures, figures: names of the files that are written
+    duration: in words, of all tables
+    """
+    parser = argparse.ArgumentParser(
+        prog=program,
+        description=description,
+        epilog='exit status: 0 done, 2 a program failed or the output cannot be written',
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        'tables',
+        nargs='*',
+        metavar='TABLE',
+        help='{}; all by default, {}'.format(', '.join(tables), duration),
+    )
+    parser.add_argument('--seed', type=int, default=1, help='of what is simulated (default 1)')
+    parser.add_argument(
+        '--output',
+        metavar='DIR',
+        default=os.path.join('build', 'benchmark'),
+        help='folder for {} and {} [m, rad, s] (default build/benchmark)'.format(pictures, figures),
+    )
+    options = parser.parse_args()
+    for name in options.tables:
+        if name not in tables:
+            parser.error('no table {}; there are {}'.format(name, ', '.join(tables)))
+    try:
+        _run(options, tables, figures)
+    except InputError as error:
+        print('{}: error: {}'.format(program, error), file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(
+            '{}: error: {}: {}. Is the folder writable, the disk full?'.format(
+                program, error.filename, error.strerror
+            ),
+            file=sys.stderr,
+        )
+        return 2
+    return 0
+
+
+def _run(options, tables, figures_name):
+    os.makedirs(options.output, exist_ok=True)
+    figures = {}
+    with Bench(options.seed) as bench:
+        for name in options.tables or tables:
+            figures[name] = tables[name](bench, options.output)
+        bench.progress('done')
+    path = os.path.join(options.output, figures_name)
+    with open(path, 'w') as file:
+        json.dump(figures, file, indent=1)
+    print('\nWrote {}'.format(path))

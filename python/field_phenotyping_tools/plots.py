@@ -200,6 +200,33 @@ def similarity_sweep(path, values, scores, paper_values, paper_scores):
     _save(figure, path)
 
 
+def completion_gaps(path, figures, goals):
+    """Quality before and after completion, and the error of what was filled, by kind of gap.
+
+    figures: {kind of gap: figures of completion_benchmark.summarise()}; goals: the least of each
+    """
+    figure, (quality, error) = plt.subplots(1, 2, figsize=(11.0, 4.5), constrained_layout=True)
+    names = list(figures)
+    places = np.arange(len(names))
+    for k, (name, color) in enumerate((('pc', 'tab:green'), ('sm', 'tab:blue'), ('rd', 'tab:red'))):
+        left = places + 0.27 * (k - 1)
+        after = [figures[gap].get(name, np.nan) for gap in names]
+        before = [figures[gap].get('before_' + name, np.nan) for gap in names]
+        quality.bar(left, after, 0.25, color=color, alpha=0.35, label=name.upper() + ' after')
+        quality.bar(left, before, 0.25, color=color, label=name.upper() + ' before')
+        quality.axhline(goals[name], color=color, linestyle=':', linewidth=1.0)
+    quality.set_ylabel('share [-]; dotted: goals')
+    quality.legend(fontsize=7, ncol=3, loc='lower center')
+    error.bar(places, [1e3 * figures[gap].get('rmse', np.nan) for gap in names], 0.6)
+    error.axhline(1e3 * goals['rmse'], color='0.3', linestyle=':')
+    error.set_ylabel('RMSE of filled points to the true surface [mm]')
+    for axes in (quality, error):
+        axes.set_xticks(places)
+        axes.set_xticklabels(names, rotation=25, ha='right', fontsize=8)
+        axes.grid(alpha=0.3, axis='y')
+    _save(figure, path)
+
+
 def _values(rows, trait):
     matched = [row for row in rows if row['status'] == _MATCHED]
     return [

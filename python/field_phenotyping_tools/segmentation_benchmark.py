@@ -14,8 +14,10 @@ from .benchmarks import (
     STAGES,
     cloud_of,
     figure,
+    note_load,
     print_header,
     print_row,
+    real_data,
     score,
     stage_times,
 )
@@ -170,16 +172,6 @@ def rivals(bench, _folder, stages=STAGES, field=_SMALL_FIELD, grid=()):
     return rows
 
 
-def note_load():
-    """Says so where more was running than there are cores, for then seconds mean little."""
-    load, cores = os.getloadavg()[0], os.cpu_count() or 1
-    if load > cores + 0.5:
-        print(
-            '\nBUSY: load {:.1f} on {} cores; do not trust the seconds above.'.format(load, cores),
-            flush=True,
-        )
-
-
 def rival_times(result, our_seconds):
     """Seconds of a result.json of pcl_clusters, for the settings that it kept."""
     seconds = result['seconds']
@@ -198,13 +190,8 @@ def settings_text(result):
 
 def real(bench, _folder):
     """Real clouds: stems of single plants, and two rows whose stems are known by their axes."""
-    data = os.environ.get('FIELD_PHENOTYPING_DATA') or _default_data()
-    if not os.path.isdir(data):
-        print(
-            '\nSKIPPED real: the real clouds are not at {}. Set FIELD_PHENOTYPING_DATA to their '
-            'folder.'.format(os.path.abspath(data)),
-            flush=True,
-        )
+    data = real_data()
+    if data is None:
         return {}
     columns = (
         ('plants found', figure('found_plants', decimals=0)),
@@ -249,12 +236,6 @@ def real(bench, _folder):
     rows[name] = score(bench.measure(cloud + '.pcd'), cloud + '.truth.csv')
     print_row(name, columns, rows[name])
     return rows
-
-
-def _default_data():
-    """Beside the checkout, where the tests look too."""
-    package = os.path.dirname(os.path.realpath(__file__))
-    return os.path.join(package, '..', '..', '..', 'shared', 'data')
 
 
 def bare_stem_scores(run, cloud_path):

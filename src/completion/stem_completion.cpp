@@ -68,7 +68,8 @@ double lowerEnd(const SurfacePrior& prior, const GroundModel& ground, double low
 /// Eq 22, within the limits on where a stem may be filled.
 std::vector<SurfacePosition> samplePositions(const MeasuredSurface& measured,
                                              const SurfacePrior& prior, const GroundModel& ground,
-                                             const CompletionParameters& parameters) {
+                                             const CompletionParameters& parameters,
+                                             double& density) {
   std::vector<double> arc_lengths;
   for (const SurfacePosition& position : measured.positions) arc_lengths.push_back(position.s);
   FillRange range = findFillRange(std::move(arc_lengths), parameters.max_gap);
@@ -77,8 +78,8 @@ std::vector<SurfacePosition> samplePositions(const MeasuredSurface& measured,
   constexpr double kTwoPi = 6.28318530717958647692;
   const double area = kTwoPi * prior.meanRadius() * (range.end - range.begin);
   if (!(area > 0.0)) return {};
-  double density = parameters.density > 0.0 ? parameters.density
-                                            : medianDensity(measured.index, measured.positions);
+  density = parameters.density > 0.0 ? parameters.density
+                                     : medianDensity(measured.index, measured.positions);
   density = std::min({density, kMaxDensity, kMaxPoints / area});
 
   const RadiusFunction radius = [&](const SurfacePosition& p) {
@@ -141,11 +142,11 @@ SyntheticPoints completeStem(const PointCloud& cloud, IndexSpan stem, const Stem
       prior->meanRadius(),
       {parameters.kernel_scale, parameters.ridge, parameters.prior_weight * prior->noise()});
 
+  SyntheticPoints synthetic;
   // Step 3: where points are missing, and how many (Eq 22).
   const std::vector<SurfacePosition> samples =
-      samplePositions(measured, *prior, ground, parameters);
+      samplePositions(measured, *prior, ground, parameters, synthetic.density);
 
-  SyntheticPoints synthetic;
   for (const SurfacePosition& sample : samples) {
     const double radius = prior->radius(sample.theta, sample.s) + deviation.valueAt(sample);
     const Eigen::Vector3f point =

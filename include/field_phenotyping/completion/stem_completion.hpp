@@ -15,6 +15,7 @@ struct SyntheticPoints {
   std::vector<Eigen::Vector3f> points;  ///< [m]
   std::vector<std::uint32_t> colors;    ///< 0x00RRGGBB; empty when the cloud has none
   std::vector<float> stddev;            ///< of each one's distance to the true surface [m]
+  double density = 0.0;                 ///< that gaps were filled to [1/m^2]; 0: nothing was filled
 };
 
 /// Fills the gaps of one stem (paper 2.5, Eq 17-23). A stem whose points do not carry a surface
