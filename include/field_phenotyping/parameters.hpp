@@ -192,6 +192,9 @@ struct CompletionParameters {
   int max_centers = 200;
   double max_gap = 0.25;
   double density = 0.0;
+  int points_around = 32;
+  double max_stddev = 0.002;
+  double smoothing = 0.3;
   int min_points = 12;
 
   template <class Self, class Visitor>
@@ -218,8 +221,21 @@ struct CompletionParameters {
     v(
         ParameterInfo{
             "density", "1/m^2",
-            "surface density that gaps are filled to (N0 of Eq 22); 0: the stem's own median"},
+            "surface density that gaps are filled to (N0 of Eq 22); 0: the stem's own median, but at "
+            "least points_around"},
         p.density, 0.0, 1e7);
+    v(ParameterInfo{"points_around", "",
+                    "points round the stem that gaps are filled to at least, as far apart along it; "
+                    "0: no more than density says"},
+      p.points_around, 0, 200);
+    v(ParameterInfo{"max_stddev", "m",
+                    "surface that is known less well than this stays open, as where a stem is seen "
+                    "from one side only"},
+      p.max_stddev, 0.0, 1.0);
+    v(ParameterInfo{"smoothing", "",
+                    "sigma_s of the bilateral filter (Eq 25), share of the stem's radius; 0: off. "
+                    "Traits are measured before it"},
+      p.smoothing, 0.0, 0.3);
     v(ParameterInfo{"min_points", "", "stems with fewer measured points are left alone"},
       p.min_points, 4, 1000);
   }

@@ -11,7 +11,7 @@ namespace field_phenotyping {
 CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
                              const CompletionParameters& parameters) {
   const std::vector<Plant>& plants = segmented->plants;
-  std::vector<SyntheticPoints> stems(plants.size());
+  std::vector<CompletedStem> stems(plants.size());
   if (parameters.enabled) {
     parallelFor(plants.size(), [&](std::size_t i) {
       if (!plants[i].owned) return;
@@ -24,7 +24,7 @@ CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
   CompletedBlock completed;
   completed.synthetic.origin = segmented->cloud.origin;
   completed.synthetic_span.reserve(plants.size());
-  for (const SyntheticPoints& stem : stems) {
+  for (const CompletedStem& stem : stems) {
     PointCloud& cloud = completed.synthetic;
     const auto begin = static_cast<std::uint32_t>(cloud.size());
     cloud.points.insert(cloud.points.end(), stem.points.begin(), stem.points.end());

@@ -1,6 +1,7 @@
 #include "field_phenotyping/completion/gap_sampling.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -25,11 +26,12 @@ constexpr double kCurvatureWeight = 0.25;
 /// centres form an even pattern.
 class CellGrid {
  public:
-  CellGrid(const FillRange& range, double cell, double radius)
+  CellGrid(const FillRange& range, double cell, double radius, long first_row)
       : begin_(range.begin),
         columns_(std::max(3, static_cast<int>(std::lround(2.0 * kPi * radius / cell)))),
         rows_(std::max(1, static_cast<int>(std::lround((range.end - range.begin) / cell)))),
-        row_height_((range.end - range.begin) / rows_) {}
+        row_height_((range.end - range.begin) / rows_),
+        is_odd_(first_row % 2 != 0) {}
 
   int rows() const { return rows_; }
   int columns() const { return columns_; }
@@ -40,31 +42,56 @@ class CellGrid {
   }
   std::size_t cellAt(int row, int column) const {
     return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) +
-           static_cast<std::size_t>((column + columns_) % columns_);
+           static_cast<std::size_t>((column % columns_ + columns_) % columns_);
   }
   SurfacePosition center(std::size_t cell) const {
-    const auto row = static_cast<double>(cell / static_cast<std::size_t>(columns_));
+    const auto row = static_cast<int>(cell / static_cast<std::size_t>(columns_));
     const auto column = static_cast<double>(cell % static_cast<std::size_t>(columns_));
-    const double shift = std::fmod(row, 2.0) * 0.5;
-    return {-kPi + (column + 0.25 + shift) * columnAngle(), begin_ + (row + 0.5) * row_height_};
+    return {-kPi + (column + shiftOf(row)) * columnAngle(), begin_ + (row + 0.5) * row_height_};
+  }
+  /// Calls visit(cell, row, column) for the cells whose centre is within `reach` [m] of a place.
+  template <class Visit>
+  void forEachWithin(const SurfacePosition& place, double reach, double radius,
+                     Visit&& visit) const {
+    const auto low = static_cast<int>(std::floor((place.s - reach - begin_) / row_height_));
+    const auto high = static_cast<int>(std::floor((place.s + reach - begin_) / row_height_)) + 1;
+    for (int row = std::max(low, 0); row <= std::min(high, rows_ - 1); ++row) {
+      const double along = place.s - begin_ - (row + 0.5) * row_height_;
+      const double left = reach * reach - along * along;
+      if (left < 0.0) continue;
+      const double half = std::sqrt(left) / (radius * columnAngle());
+      const double column = (place.theta + kPi) / columnAngle() - shiftOf(row);
+      const int most = std::min(static_cast<int>(std::floor(column + half)),
+                                static_cast<int>(std::ceil(column - half)) + columns_ - 1);
+      for (int c = static_cast<int>(std::ceil(column - half)); c <= most; ++c) {
+        visit(cellAt(row, c));
+      }
+    }
   }
 
  private:
+  double shiftOf(int row) const { return (row % 2 != 0) != is_odd_ ? 0.75 : 0.25; }
+
   double begin_;
   int columns_;
   int rows_;
   double row_height_;
+  bool is_odd_;
 };
 
-/// Curvature of the curve r(theta) across the axis [1/m].
-double crossSectionCurvature(const SurfacePosition& p, const RadiusFunction& radius) {
-  constexpr double kStep = 0.1;  // [rad]
-  const double r = radius(p);
-  const double before = radius({p.theta - kStep, p.s});
-  const double after = radius({p.theta + kStep, p.s});
-  const double first = (after - before) / (2.0 * kStep);
-  const double second = (after - 2.0 * r + before) / (kStep * kStep);
-  return (r * r + 2.0 * first * first - r * second) / std::pow(r * r + first * first, 1.5);
+/// Radius and curvature of the cross-section where its mean radius is 1.
+struct Outline {
+  double radius = 1.0;
+  double curvature = 1.0;
+};
+
+Outline outlineAt(double theta, const std::array<double, 2>& ellipse) {
+  const double cosine = std::cos(2.0 * theta);
+  const double sine = std::sin(2.0 * theta);
+  const double r = 1.0 + ellipse[0] * cosine + ellipse[1] * sine;
+  const double first = 2.0 * (ellipse[1] * cosine - ellipse[0] * sine);
+  const double second = 4.0 * (1.0 - r);
+  return {r, (r * r + 2.0 * first * first - r * second) / std::pow(r * r + first * first, 1.5)};
 }
 
 /// Missing cells connected to `seed`, which are unmarked; in order of the cells.
@@ -91,17 +118,19 @@ std::vector<std::size_t> takeRegion(const CellGrid& grid, std::size_t seed,
 }
 
 GapRegion describeRegion(const CellGrid& grid, const std::vector<std::size_t>& cells,
-                         const RadiusFunction& radius) {
+                         const std::vector<double>& radii, const std::vector<Outline>& outlines) {
   GapRegion region;
   region.cell_angle = grid.columnAngle();
+  const auto columns = static_cast<std::size_t>(grid.columns());
   for (const std::size_t cell : cells) {
-    const SurfacePosition position = grid.center(cell);
-    const double r = radius(position);
+    const double mean_radius = radii[cell / columns];
+    const Outline& outline = outlines[cell % columns];
+    const double r = mean_radius * outline.radius;
     const double area = r * grid.columnAngle() * grid.rowHeight();
-    region.cells.push_back(position);
+    region.cells.push_back(grid.center(cell));
     region.area += area;
     region.volume += 0.5 * r * area;
-    region.curvature += area * crossSectionCurvature(position, radius);
+    region.curvature += area * outline.curvature / mean_radius;
   }
   region.curvature /= region.area;
   return region;
@@ -143,21 +172,37 @@ double medianDensity(const SurfaceIndex& measured, const std::vector<SurfacePosi
   return medianOf(std::move(densities));
 }
 
-std::vector<GapRegion> findGaps(const SurfaceIndex& measured, const FillRange& range,
-                                double density, const RadiusFunction& radius) {
+double rowHeight(double length, double density) {
+  return length / std::max(1.0, std::round(length * std::sqrt(density)));
+}
+
+std::vector<GapRegion> findGaps(const std::vector<SurfacePosition>& measured,
+                                const FillRange& range, double density, const StemShape& shape,
+                                double mean_radius, long first_row) {
   if (!(density > 0.0) || !(range.end > range.begin)) return {};
   const double spacing = 1.0 / std::sqrt(density);
-  const CellGrid grid(range, spacing, measured.radius());
-  std::vector<char> missing(grid.size(), 0);
-  for (std::size_t cell = 0; cell < grid.size(); ++cell) {
-    const SurfacePosition center = grid.center(cell);
-    missing[cell] = range.contains(center.s) &&
-                    measured.nearestWithin<1>(center, kCoverage * spacing).count == 0;
+  const CellGrid grid(range, spacing, mean_radius, first_row);
+  std::vector<char> missing(grid.size(), 1);
+  for (const SurfacePosition& place : measured) {
+    grid.forEachWithin(place, kCoverage * spacing, mean_radius,
+                       [&](std::size_t cell) { missing[cell] = 0; });
+  }
+  std::vector<double> radii;
+  std::vector<Outline> outlines;
+  for (int column = 0; column < grid.columns(); ++column) {
+    outlines.push_back(
+        outlineAt(grid.center(static_cast<std::size_t>(column)).theta, shape.ellipse));
+  }
+  for (int row = 0; row < grid.rows(); ++row) {
+    const double s = grid.center(grid.cellAt(row, 0)).s;
+    radii.push_back(shape.radius(s));
+    if (range.contains(s)) continue;
+    for (int column = 0; column < grid.columns(); ++column) missing[grid.cellAt(row, column)] = 0;
   }
   std::vector<GapRegion> regions;
   for (std::size_t cell = 0; cell < grid.size(); ++cell) {
     if (missing[cell] == 0) continue;
-    regions.push_back(describeRegion(grid, takeRegion(grid, cell, missing), radius));
+    regions.push_back(describeRegion(grid, takeRegion(grid, cell, missing), radii, outlines));
   }
   return regions;
 }

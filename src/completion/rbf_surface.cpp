@@ -38,14 +38,15 @@ struct Cell {
   double cos_sum = 0.0, sin_sum = 0.0, s_sum = 0.0, value_sum = 0.0, weight = 0.0;
 };
 
-std::map<std::pair<long, long>, Cell> binSamples(const std::vector<SurfaceSample>& samples,
-                                                 double radius, double cell) {
-  const double columns = std::max(3.0, std::round(2.0 * kPi * radius / cell));
+}  // namespace
+
+std::vector<SurfaceSample> thinSamples(const std::vector<SurfaceSample>& samples,
+                                       const CenterLattice& lattice) {
   std::map<std::pair<long, long>, Cell> cells;
   for (const SurfaceSample& sample : samples) {
     const double turn = (sample.position.theta + kPi) / (2.0 * kPi);
-    const long column = std::lround(std::floor((turn - std::floor(turn)) * columns));
-    const long row = std::lround(std::floor(sample.position.s / cell));
+    const long column = std::lround(std::floor((turn - std::floor(turn)) * lattice.columns));
+    const long row = std::lround(std::floor(sample.position.s / lattice.row_height));
     Cell& c = cells[{row, column}];
     c.cos_sum += sample.weight * std::cos(sample.position.theta);
     c.sin_sum += sample.weight * std::sin(sample.position.theta);
@@ -53,26 +54,6 @@ std::map<std::pair<long, long>, Cell> binSamples(const std::vector<SurfaceSample
     c.value_sum += sample.weight * sample.value;
     c.weight += sample.weight;
   }
-  return cells;
-}
-
-}  // namespace
-
-std::vector<SurfaceSample> thinSamples(const std::vector<SurfaceSample>& samples, double radius,
-                                       std::size_t max_centers) {
-  if (samples.size() <= max_centers) return samples;
-  double low = samples.front().position.s;
-  double high = low;
-  for (const SurfaceSample& sample : samples) {
-    low = std::min(low, sample.position.s);
-    high = std::max(high, sample.position.s);
-  }
-  constexpr double kGrowth = 1.15;
-  double cell = std::max(
-      std::sqrt(2.0 * kPi * radius * (high - low) / static_cast<double>(max_centers)), 1e-4);
-  auto cells = binSamples(samples, radius, cell);
-  while (cells.size() > max_centers) cells = binSamples(samples, radius, cell *= kGrowth);
-
   std::vector<SurfaceSample> thinned;
   thinned.reserve(cells.size());
   for (const auto& [key, c] : cells) {
@@ -80,6 +61,15 @@ std::vector<SurfaceSample> thinSamples(const std::vector<SurfaceSample>& samples
         {{std::atan2(c.sin_sum, c.cos_sum), c.s_sum / c.weight}, c.value_sum / c.weight, c.weight});
   }
   return thinned;
+}
+
+double amplitudeOf(const std::vector<SurfaceSample>& centers, double noise) {
+  double signal = 0.0;
+  for (const SurfaceSample& center : centers) {
+    signal += center.value * center.value - noise * noise / center.weight;
+  }
+  const double mean = centers.empty() ? 0.0 : signal / static_cast<double>(centers.size());
+  return std::sqrt(std::max(mean, kMinAmplitude * kMinAmplitude));
 }
 
 RbfSurface::RbfSurface(const std::vector<SurfaceSample>& centers, double radius,
@@ -90,17 +80,17 @@ RbfSurface::RbfSurface(const std::vector<SurfaceSample>& centers, double radius,
   index_ = SurfaceIndex(positions, radius);
   if (centers.empty()) return;
 
-  std::vector<double> areas;
-  double signal = 0.0;
-  for (const SurfaceSample& center : centers) {
-    areas.push_back(areaPerCenter(index_, center.position));
-    signal += center.value * center.value - options.noise * options.noise / center.weight;
+  mean_area_ = options.center_area;
+  if (!(mean_area_ > 0.0)) {
+    std::vector<double> areas;
+    for (const SurfaceSample& center : centers) {
+      areas.push_back(areaPerCenter(index_, center.position));
+    }
+    mean_area_ = std::max(medianOf(areas), kMinSpacing * kMinSpacing);
   }
   const auto count = static_cast<Eigen::Index>(centers.size());
-  mean_area_ = std::max(medianOf(areas), kMinSpacing * kMinSpacing);
   kernel_width_ = options.kernel_scale * std::sqrt(mean_area_);
-  amplitude_ = std::sqrt(
-      std::max(signal / static_cast<double>(centers.size()), kMinAmplitude * kMinAmplitude));
+  amplitude_ = options.amplitude > 0.0 ? options.amplitude : amplitudeOf(centers, options.noise);
 
   Eigen::VectorXd w(count), values(count), noise(count);
   for (Eigen::Index i = 0; i < count; ++i) {

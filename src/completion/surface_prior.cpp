@@ -17,8 +17,8 @@ using Eigen::Vector3d;
 
 constexpr double kNodeSpacing = 0.01;  // [m] of the frame
 constexpr double kMaxLength = 5.0;     // [m]
-constexpr double kKnotSpacing = 0.05;  // [m] of the splines
-constexpr int kMaxIntervals = 30;
+constexpr double kKnotSpacing = 0.06;  // [m] of the splines; doubled until they are few enough
+constexpr int kMaxIntervals = 36;
 constexpr std::size_t kMaxFitPoints = 1500;
 constexpr std::size_t kMaxScoredPoints = 250;
 constexpr int kHypotheses = 128;
@@ -27,7 +27,9 @@ constexpr double kConverged = 1e-4;  // [m]
 constexpr double kTukey = 3.5;       // cuts off leaf bases; and at this value the inverse of
                                      // the normal matrix is the covariance of the fit
 constexpr double kMadToSigma = 1.4826;
-constexpr double kMinNoise = 2e-4;  // [m]
+constexpr double kMinNoise = 2e-4;    // [m]
+constexpr double kAngleWindow = 0.2;  // [m] along which a stem is seen from about the same sides
+constexpr double kTwoPi = 6.28318530717958647692;
 
 // How stems are shaped, as standard deviations. The first two are rates of random walks in slope
 // along the stem: a lean that wanders by 6 degrees and a taper that changes by 5 mm/m over 1 m.
@@ -48,6 +50,100 @@ double quantile(std::vector<double> values, double share) {
   std::nth_element(values.begin(), values.begin() + rank, values.end());
   return values[static_cast<std::size_t>(rank)];
 }
+
+/// Tukey's biweight of a residual in standard deviations.
+double tukeyWeight(double residual) {
+  const double u = residual / kTukey;
+  return std::abs(u) < 1.0 ? (1.0 - u * u) * (1.0 - u * u) : 0.0;
+}
+
+/// What noise in x and y does to the distance and the angle of points of a circle as seen from its
+/// centre, with the weights of the fit: all in standard deviations of the noise. Of order sigma /
+/// R, but where half of the circumference is hidden nothing else tells a shift from a smaller
+/// radius.
+struct NoiseEffect {
+  double radius_bias = 0.0;      ///< mean distance beyond the circle
+  double shift_bias = 0.0;       ///< the same, weighted by the cosine of the angle's error
+  double ellipse_bias = 0.0;     ///< the same, by the cosine of twice that
+  double median_residual = 1.0;  ///< median of |distance beyond the circle - radius_bias|
+
+  /// @param ratio radius over noise; what is beyond the table is taken as its end
+  static NoiseEffect at(double ratio) {
+    static const std::array<NoiseEffect, kSteps + 1> kTable = makeTable();
+    const double place = std::clamp(kSteps * kLeastRatio / std::max(ratio, kLeastRatio), 0.0,
+                                    static_cast<double>(kSteps));
+    const auto low = std::min(static_cast<std::size_t>(place), kSteps - 1U);
+    const double share = place - static_cast<double>(low);
+    const NoiseEffect& a = kTable[low];
+    const NoiseEffect& b = kTable[low + 1U];
+    const auto mix = [&](double x, double y) { return x + share * (y - x); };
+    return {mix(a.radius_bias, b.radius_bias), mix(a.shift_bias, b.shift_bias),
+            mix(a.ellipse_bias, b.ellipse_bias), mix(a.median_residual, b.median_residual)};
+  }
+
+ private:
+  static constexpr std::size_t kSteps = 32;  // of noise over radius, from 0
+  static constexpr double kLeastRatio = 1.25;
+
+  static std::array<NoiseEffect, kSteps + 1> makeTable() {
+    std::array<NoiseEffect, kSteps + 1> table;
+    for (std::size_t k = 0; k < table.size(); ++k) {
+      table[k] = integrate(static_cast<double>(k) / kSteps / kLeastRatio);
+    }
+    return table;
+  }
+
+  /// Sums over a grid of noise. @param noise over the radius
+  static NoiseEffect integrate(double noise) {
+    constexpr int kHalf = 60;
+    constexpr double kReach = 5.0;  // standard deviations
+    struct Sample {
+      double beyond, cosine, probability;
+    };
+    std::vector<Sample> samples;
+    double total = 0.0;
+    for (int i = -kHalf; i <= kHalf; ++i) {
+      for (int j = 0; j <= kHalf; ++j) {
+        const double x = kReach * i / kHalf;
+        const double y = kReach * j / kHalf;
+        const double along = 1.0 + noise * x;
+        const double distance = std::hypot(along, noise * y);
+        const double beyond = noise > 0.0 ? (distance - 1.0) / noise : x;
+        const double probability = (j == 0 ? 0.5 : 1.0) * std::exp(-0.5 * (x * x + y * y));
+        samples.push_back({beyond, along / std::max(distance, 1e-12), probability});
+        total += probability;
+      }
+    }
+    NoiseEffect effect;
+    constexpr int kIterations = 20;
+    for (int iteration = 0; iteration < kIterations; ++iteration) {
+      std::array<double, 3> sums{};
+      std::array<double, 3> weights{};
+      for (const Sample& sample : samples) {
+        const double weight = sample.probability * tukeyWeight(sample.beyond - effect.radius_bias);
+        const std::array<double, 3> factor{1.0, sample.cosine,
+                                           2.0 * sample.cosine * sample.cosine - 1.0};
+        for (std::size_t k = 0; k < 3; ++k) {
+          sums[k] += weight * factor[k] * sample.beyond;
+          weights[k] += weight * factor[k];
+        }
+      }
+      effect.radius_bias = sums[0] / weights[0];
+      effect.shift_bias = sums[1] / weights[1];
+      effect.ellipse_bias = sums[2] / weights[2];
+    }
+    for (Sample& sample : samples) sample.beyond = std::abs(sample.beyond - effect.radius_bias);
+    std::sort(samples.begin(), samples.end(),
+              [](const Sample& a, const Sample& b) { return a.beyond < b.beyond; });
+    double below = 0.0;
+    for (const Sample& sample : samples) {
+      below += sample.probability;
+      effect.median_residual = sample.beyond;
+      if (below >= 0.5 * total) break;
+    }
+    return effect;
+  }
+};
 
 /// The four uniform cubic B-splines that are not 0 in one interval.
 std::array<double, 4> cubicBasis(double t) {
@@ -85,7 +181,8 @@ struct Layout {
     return {interval, cubicBasis(place - interval)};
   }
 
-  DesignRow row(double theta, double s) const {
+  /// @param mean_radius R(s) [m], which the ellipse is relative to
+  DesignRow row(double theta, double s, double mean_radius) const {
     DesignRow row;
     const auto [first, basis] = splines(s);
     const double cosine = std::cos(theta);
@@ -101,9 +198,9 @@ struct Layout {
       row.factor[k++] = b;
     }
     row.column[k] = ellipse(0);
-    row.factor[k++] = cosine * cosine - sine * sine;
+    row.factor[k++] = mean_radius * (cosine * cosine - sine * sine);
     row.column[k] = ellipse(1);
-    row.factor[k] = 2.0 * cosine * sine;
+    row.factor[k] = mean_radius * 2.0 * cosine * sine;
     return row;
   }
 
@@ -117,12 +214,13 @@ struct Layout {
   }
 };
 
-double dot(const DesignRow& row, const Eigen::VectorXd& coefficients) {
-  double value = 0.0;
-  for (std::size_t k = 0; k < DesignRow::kSize; ++k) {
-    value += row.factor[k] * coefficients[row.column[k]];
-  }
-  return value;
+/// Radius of the surface at a place: the shifts of the axis are 0 once it has been moved.
+double surfaceRadius(const Layout& layout, const Eigen::VectorXd& coefficients, double theta,
+                     double s) {
+  const Eigen::Index ellipse = layout.ellipse(0);
+  return layout.evaluate(coefficients, 2, s) *
+         (1.0 + coefficients[ellipse] * std::cos(2.0 * theta) +
+          coefficients[ellipse + 1] * std::sin(2.0 * theta));
 }
 
 /// Normal equations, built row by row; the lower triangle is kept.
@@ -197,14 +295,22 @@ class SurfacePriorFitter {
   std::optional<SurfacePrior> run(double extend) {
     if (!layOutCurve(extend)) return std::nullopt;
     fitConeByRansac();
-    for (int iteration = 0; iteration < kMaxIterations; ++iteration) {
-      if (!solve()) return std::nullopt;
-      if (moveAxis() < kConverged) break;
-    }
+    if (!iterate(kMaxIterations)) return std::nullopt;
+    // Residuals understate the noise by the freedom that the fit has used up.
+    inflation_ = noiseInflation();
+    if (!iterate(1)) return std::nullopt;
     return finish();
   }
 
  private:
+  bool iterate(int most) {
+    for (int iteration = 0; iteration < most; ++iteration) {
+      if (!solve()) return false;
+      if (moveAxis() < kConverged) break;
+    }
+    return true;
+  }
+
   /// The axis as segmented, resampled over the range of the points.
   bool layOutCurve(double extend) {
     double low = std::numeric_limits<double>::max();
@@ -218,8 +324,12 @@ class SurfacePriorFitter {
     }
     if (!(high - low < kMaxLength)) return false;
     given_radius_ = quantile(radii, 0.5);
-    low -= std::max(extend, kNodeSpacing);
-    high += kNodeSpacing;
+    // Knots lie at fixed places of the axis, so that points added at its end leave the others.
+    spacing_ = kKnotSpacing;
+    while (high - low + extend > (kMaxIntervals - 2) * spacing_) spacing_ *= 2.0;
+    low = spacing_ * std::floor((low - std::max(extend, kNodeSpacing)) / spacing_);
+    high = spacing_ * std::ceil((high + kNodeSpacing) / spacing_);
+    given_begin_ = low;
     const auto steps = static_cast<int>(std::ceil((high - low) / kNodeSpacing));
     for (int i = 0; i <= steps; ++i) {
       const double s = low + (high - low) * i / steps;
@@ -239,7 +349,7 @@ class SurfacePriorFitter {
   void unroll() {
     frame_ = StemFrame(curve_);
     layout_.intervals =
-        std::clamp(static_cast<int>(std::lround(frame_.length() / kKnotSpacing)), 1, kMaxIntervals);
+        std::clamp(static_cast<int>(std::lround(frame_.length() / spacing_)), 1, kMaxIntervals);
     layout_.interval_length = frame_.length() / layout_.intervals;
     unrolled_.clear();
     for (const Vector3d& point : points_) unrolled_.push_back(frame_.unroll(point));
@@ -305,7 +415,9 @@ class SurfacePriorFitter {
     const double length = frame_.length();
     const double low = radiusAt(0.0);
     const double high = radiusAt(length);
-    if (!isPossibleRadius(low) || !isPossibleRadius(high)) return std::nullopt;
+    if (!isPossibleRadius(low, givenRadius(0.0)) || !isPossibleRadius(high, givenRadius(length))) {
+      return std::nullopt;
+    }
     Cone cone;
     cone.center = x.segment<2>(0);
     cone.center_slope = x.segment<2>(3);
@@ -352,50 +464,43 @@ class SurfacePriorFitter {
       residuals.push_back(p.r - radiusAt(p));
       distances.push_back(std::abs(residuals.back()));
     }
-    noise_ = std::max(kMinNoise, kMadToSigma * quantile(distances, 0.5));
+    const double mean_radius = layout_.evaluate(coefficients_, 2, 0.5 * frame_.length());
+    noise_ = std::max(kMinNoise, std::sqrt(inflation_) * quantile(distances, 0.5) /
+                                     NoiseEffect::at(mean_radius / noise_).median_residual);
 
     NormalEquations equations(layout_.size());
     addShapePrior(equations);
     for (std::size_t i = 0; i < unrolled_.size(); ++i) {
-      addPoint(unrolled_[i], tukey(residuals[i], noise_) / (noise_ * noise_), equations);
+      addPoint(unrolled_[i], tukeyWeight(residuals[i] / noise_) / (noise_ * noise_), equations);
     }
-    solver_.compute(equations.matrix);
+    normal_matrix_ = equations.matrix;
+    solver_.compute(normal_matrix_);
     if (solver_.info() != Eigen::Success) return false;
     coefficients_ = solver_.solve(equations.right_side);
     return coefficients_.allFinite();
   }
 
-  /// Noise moves a point outwards by sigma^2 / 2R on average, and its angle at the same time, so
-  /// that the rows of cos k theta see a bias that differs from k to k at order sigma^4 / R^3.
-  /// Small, but where half the circumference is hidden nothing else tells a shift from a smaller
-  /// radius.
+  /// Noise moves a point outwards on average, and its angle at the same time: each row's target
+  /// has a bias of its own.
   void addPoint(const UnrolledPoint& p, double weight, NormalEquations& equations) const {
-    const double radius = std::max(layout_.evaluate(coefficients_, 2, p.s), noise_);
-    const double square = noise_ * noise_ / (radius * radius);
-    const double bias = 0.5 * square * radius;
-    const double fourth = square * square * radius;
-    const double shift = p.r - bias - 0.5 * fourth;
-    const double mean = p.r - bias - 0.125 * fourth;
-    const double ellipse = p.r - bias - 2.0 * fourth;
+    const double radius = layout_.evaluate(coefficients_, 2, p.s);
+    const NoiseEffect effect = NoiseEffect::at(radius / noise_);
+    const double shift = p.r - noise_ * effect.shift_bias;
+    const double mean = p.r - noise_ * effect.radius_bias;
+    const double ellipse = p.r - noise_ * effect.ellipse_bias;
     const std::array<double, DesignRow::kSize> target{shift, shift, mean,    shift,  shift,
                                                       mean,  shift, shift,   mean,   shift,
                                                       shift, mean,  ellipse, ellipse};
-    const DesignRow row = layout_.row(p.theta, p.s);
+    const DesignRow row = layout_.row(p.theta, p.s, radius);
     equations.add(row.column, row.factor, target, weight);
   }
 
   double radiusAt(const UnrolledPoint& p) const {
-    return dot(layout_.row(p.theta, p.s), coefficients_) + noiseBias(p.s);
+    return surfaceRadius(layout_, coefficients_, p.theta, p.s) + noiseBias(p.s);
   }
 
   double noiseBias(double s) const {
-    const double radius = std::max(layout_.evaluate(coefficients_, 2, s), noise_);
-    return 0.5 * noise_ * noise_ / radius;
-  }
-
-  static double tukey(double residual, double noise) {
-    const double u = residual / (kTukey * noise);
-    return std::abs(u) < 1.0 ? (1.0 - u * u) * (1.0 - u * u) : 0.0;
+    return noise_ * NoiseEffect::at(layout_.evaluate(coefficients_, 2, s) / noise_).radius_bias;
   }
 
   /// Small second derivatives, weak ties to the axis and the radius as segmented.
@@ -427,9 +532,8 @@ class SurfacePriorFitter {
       equations.add<1>({layout_.radius(k)}, {1.0}, given_radius_,
                        share / (radius_error * radius_error));
     }
-    const double ellipticity = kEllipticity * given_radius_;
     for (int k = 0; k < 2; ++k) {
-      equations.add<1>({layout_.ellipse(k)}, {1.0}, 0.0, 1.0 / (ellipticity * ellipticity));
+      equations.add<1>({layout_.ellipse(k)}, {1.0}, 0.0, 1.0 / (kEllipticity * kEllipticity));
     }
   }
 
@@ -476,28 +580,93 @@ class SurfacePriorFitter {
     return longest;
   }
 
-  std::optional<SurfacePrior> finish() {
+  double noiseInflation() const {
     SurfacePrior prior(frame_, layout_.intervals);
     prior.coefficients_ = coefficients_;
     prior.covariance_ = solver_.solve(Eigen::MatrixXd::Identity(layout_.size(), layout_.size()));
-
-    // Residuals understate the noise by the freedom that the fit has used up.
     double inliers = 0.0;
     double used_freedom = 0.0;
     for (const UnrolledPoint& p : unrolled_) {
-      const double weight = tukey(p.r - radiusAt(p), noise_);
+      const double weight = tukeyWeight((p.r - radiusAt(p)) / noise_);
       inliers += weight;
       used_freedom += weight * prior.variance(p.theta, p.s) / (noise_ * noise_);
     }
+    return inliers / std::max(inliers - used_freedom, 1.0);
+  }
+
+  /// Of the coefficients. Noise spreads the angles of the points, so that their normal matrix
+  /// believes in more of the circumference than was seen: the information is that of the angles
+  /// before the noise, while the score varies as the points do.
+  Eigen::MatrixXd covariance() const {
+    NormalEquations information(layout_.size());
+    addShapePrior(information);
+    const std::vector<double> angles = anglesBeforeNoise();
+    for (std::size_t i = 0; i < unrolled_.size(); ++i) {
+      const UnrolledPoint& p = unrolled_[i];
+      const double weight = tukeyWeight((p.r - radiusAt(p)) / noise_) / (noise_ * noise_);
+      const DesignRow row = layout_.row(angles[i], p.s, layout_.evaluate(coefficients_, 2, p.s));
+      information.add(row.column, row.factor, 0.0, weight);
+    }
+    const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> solver(information.matrix);
+    if (solver.info() != Eigen::Success) {
+      return solver_.solve(Eigen::MatrixXd::Identity(layout_.size(), layout_.size()));
+    }
+    const Eigen::MatrixXd half =
+        solver.solve(Eigen::MatrixXd(normal_matrix_.selfadjointView<Eigen::Lower>()));
+    return solver.solve(half.transpose());
+  }
+
+  /// The angles of the points, drawn together round their mean in each window along the stem by as
+  /// much as noise has spread them.
+  std::vector<double> anglesBeforeNoise() const {
+    struct Window {
+      double cosine = 0.0, sine = 0.0, squares = 0.0, noise = 0.0, count = 0.0;
+      double mean() const { return std::atan2(sine, cosine); }
+    };
+    const auto windowOf = [&](const UnrolledPoint& p) {
+      return static_cast<std::size_t>(std::clamp(p.s, 0.0, frame_.length()) / kAngleWindow);
+    };
+    const auto offset = [](const UnrolledPoint& p, const Window& window) {
+      return std::remainder(p.theta - window.mean(), kTwoPi);
+    };
+    std::vector<Window> windows(1U + static_cast<std::size_t>(frame_.length() / kAngleWindow));
+    for (const UnrolledPoint& p : unrolled_) {
+      Window& window = windows[windowOf(p)];
+      window.cosine += std::cos(p.theta);
+      window.sine += std::sin(p.theta);
+      window.noise +=
+          std::pow(noise_ / std::max(layout_.evaluate(coefficients_, 2, p.s), noise_), 2);
+      window.count += 1.0;
+    }
+    for (const UnrolledPoint& p : unrolled_) {
+      Window& window = windows[windowOf(p)];
+      window.squares += std::pow(offset(p, window), 2);
+    }
+    std::vector<double> angles;
+    for (const UnrolledPoint& p : unrolled_) {
+      const Window& window = windows[windowOf(p)];
+      const double left = 1.0 - window.noise / std::max(window.squares, 1e-9);
+      angles.push_back(window.mean() + std::sqrt(std::max(left, 0.0)) * offset(p, window));
+    }
+    return angles;
+  }
+
+  std::optional<SurfacePrior> finish() {
+    SurfacePrior prior(frame_, layout_.intervals);
+    prior.coefficients_ = coefficients_;
+    prior.covariance_ = covariance();
+    prior.noise_ = noise_;
+    prior.begin_ = given_begin_;
+    double inliers = 0.0;
+    for (const UnrolledPoint& p : unrolled_) {
+      inliers += tukeyWeight((p.r - radiusAt(p)) / noise_);
+    }
     if (inliers < kMinInlierShare * static_cast<double>(unrolled_.size())) return std::nullopt;
-    const double inflation = inliers / std::max(inliers - used_freedom, 1.0);
-    prior.noise_ = noise_ * std::sqrt(inflation);
-    prior.covariance_ *= inflation;
 
     double sum = 0.0;
     for (const StemFrame::Frame& node : frame_.nodes()) {
       const double r = layout_.evaluate(coefficients_, 2, node.s);
-      if (!isPossibleRadius(r)) return std::nullopt;
+      if (!isPossibleRadius(r, givenRadius(node.s))) return std::nullopt;
       sum += r;
     }
     prior.mean_radius_ = sum / static_cast<double>(frame_.nodes().size());
@@ -505,14 +674,22 @@ class SurfacePriorFitter {
     return prior;
   }
 
+  /// Of the stem as segmented, at an arc length of the frame; a stem tapers.
+  double givenRadius(double s) const {
+    const double r = static_cast<double>(axis_.radiusAt(static_cast<float>(given_begin_ + s)));
+    return r > 0.0 ? r : given_radius_;
+  }
+
   /// False for NaN too.
-  bool isPossibleRadius(double r) const {
-    return r > kMinRadiusRatio * given_radius_ && r < kMaxRadiusRatio * given_radius_;
+  static bool isPossibleRadius(double r, double given) {
+    return r > kMinRadiusRatio * given && r < kMaxRadiusRatio * given;
   }
 
   const StemAxis& axis_;
   std::vector<Vector3d> points_;
-  double given_radius_ = 0.0;
+  double given_radius_ = 0.0;      // median over the points [m]
+  double spacing_ = kKnotSpacing;  // of the knots [m]
+  double given_begin_ = 0.0;       // arc length on the segmented axis where the frame begins [m]
   std::vector<Vector3d> given_curve_;
   std::vector<Vector3d> curve_;
   StemFrame frame_{{Vector3d::Zero(), Vector3d::UnitZ()}};
@@ -520,6 +697,8 @@ class SurfacePriorFitter {
   std::vector<UnrolledPoint> unrolled_;
   Eigen::VectorXd coefficients_;
   double noise_ = kMinNoise;
+  double inflation_ = 1.0;  // of its square
+  Eigen::MatrixXd normal_matrix_;
   Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> solver_;
 };
 
@@ -536,16 +715,26 @@ std::optional<SurfacePrior> SurfacePrior::fit(const std::vector<Vector3d>& point
 }
 
 double SurfacePrior::radius(double theta, double s) const {
-  return dot(Layout{intervals_, interval_length_}.row(theta, s), coefficients_);
+  return surfaceRadius(Layout{intervals_, interval_length_}, coefficients_, theta, s);
+}
+
+double SurfacePrior::meanRadiusAt(double s) const {
+  return Layout{intervals_, interval_length_}.evaluate(coefficients_, 2, s);
+}
+
+std::array<double, 2> SurfacePrior::ellipse() const {
+  const Eigen::Index first = Layout{intervals_, interval_length_}.ellipse(0);
+  return {coefficients_[first], coefficients_[first + 1]};
 }
 
 double SurfacePrior::noiseBias(double s) const {
   const double radius = Layout{intervals_, interval_length_}.evaluate(coefficients_, 2, s);
-  return 0.5 * noise_ * noise_ / std::max(radius, noise_);
+  return noise_ * NoiseEffect::at(radius / noise_).radius_bias;
 }
 
 double SurfacePrior::variance(double theta, double s) const {
-  const DesignRow row = Layout{intervals_, interval_length_}.row(theta, s);
+  const Layout layout{intervals_, interval_length_};
+  const DesignRow row = layout.row(theta, s, layout.evaluate(coefficients_, 2, s));
   double variance = 0.0;
   for (std::size_t a = 0; a < DesignRow::kSize; ++a) {
     for (std::size_t b = 0; b < DesignRow::kSize; ++b) {
@@ -556,8 +745,7 @@ double SurfacePrior::variance(double theta, double s) const {
 }
 
 double SurfacePrior::robustWeight(double residual) const {
-  const double u = residual / (kTukey * noise_);
-  return std::abs(u) < 1.0 ? (1.0 - u * u) * (1.0 - u * u) : 0.0;
+  return tukeyWeight(residual / noise_);
 }
 
 }  // namespace field_phenotyping

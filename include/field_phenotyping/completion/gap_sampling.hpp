@@ -1,5 +1,6 @@
 #pragma once
 
+#include <array>
 #include <functional>
 #include <utility>
 #include <vector>
@@ -35,13 +36,24 @@ struct GapRegion {
 /// are too few of them.
 double medianDensity(const SurfaceIndex& measured, const std::vector<SurfacePosition>& positions);
 
-/// Radius of the stem at a position [m].
-using RadiusFunction = std::function<double(const SurfacePosition&)>;
+/// The stem's surface as far as areas and curvatures need it:
+/// r(theta, s) = radius(s) (1 + ellipse[0] cos 2 theta + ellipse[1] sin 2 theta).
+struct StemShape {
+  std::function<double(double s)> radius;  ///< [m]
+  std::array<double, 2> ellipse{0.0, 0.0};
+};
 
 /// Connected parts of the unrolled stem, periodic in theta, where measured points are farther apart
 /// than `density` [1/m^2] asks for. In order of their lowest cell.
-std::vector<GapRegion> findGaps(const SurfaceIndex& measured, const FillRange& range,
-                                double density, const RadiusFunction& radius);
+/// @param measured those of and round the range, any order
+/// @param mean_radius of the whole stem [m]
+/// @param first_row number of the lowest row of cells: odd rows are shifted by half a cell
+std::vector<GapRegion> findGaps(const std::vector<SurfacePosition>& measured,
+                                const FillRange& range, double density, const StemShape& shape,
+                                double mean_radius, long first_row = 0);
+
+/// Height of a row of cells: a whole number of them in `length` [m].
+double rowHeight(double length, double density);
 
 /// How many points a region gets (Eq 22 with N_0 = density * A_0):
 ///     N_m = density * A_m * (1/4 (V_m/A_m)/(V_0/A_0) + 1/2 + 1/4 kappa_m/kappa_0),

@@ -15,11 +15,19 @@ struct SurfaceSample {
   double weight = 1.0;  ///< how many measured points stand behind it
 };
 
-/// Averages samples over cells of the unrolled stem until at most `max_centers` are left, so that
-/// the cost of the interpolation does not grow with the number of points. Deterministic.
-/// @param radius of the stem [m]
-std::vector<SurfaceSample> thinSamples(const std::vector<SurfaceSample>& samples, double radius,
-                                       std::size_t max_centers);
+/// The cells that samples are averaged over: at fixed places, so that a sample changes one centre.
+struct CenterLattice {
+  double row_height = 0.01;  ///< along the stem [m]
+  int columns = 6;           ///< round it
+};
+
+/// Averages samples over the cells of a lattice; in order of the cells. Deterministic.
+std::vector<SurfaceSample> thinSamples(const std::vector<SurfaceSample>& samples,
+                                       const CenterLattice& lattice);
+
+/// Standard deviation of the values about 0 that is not noise [m].
+/// @param noise standard deviation of one measured point [m]
+double amplitudeOf(const std::vector<SurfaceSample>& centers, double noise);
 
 /// Density-weighted Gaussian radial basis functions on the unrolled stem, periodic in theta.
 ///
@@ -41,6 +49,8 @@ class RbfSurface {
     double kernel_scale = 1.0;  ///< kernel width in mean distances between centres
     double ridge = 1e-3;        ///< relative to the diagonal, > 0
     double noise = 0.0;         ///< standard deviation of one measured point [m]
+    double amplitude = 0.0;     ///< of the values that is not noise [m]; 0: found from the centres
+    double center_area = 0.0;   ///< of the surface, usual for a centre [m^2]; 0: found likewise
   };
 
   /// Solves for the coefficients; any number of centres, none gives 0 everywhere.

@@ -1,26 +1,54 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "field_phenotyping/common/point_cloud.hpp"
+#include "field_phenotyping/completion/sight_lines.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/ground_model.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 
 namespace field_phenotyping {
 
-/// Points made up for one stem, in the local frame of the block's cloud.
-struct SyntheticPoints {
-  std::vector<Eigen::Vector3f> points;  ///< [m]
-  std::vector<std::uint32_t> colors;    ///< 0x00RRGGBB; empty when the cloud has none
-  std::vector<float> stddev;            ///< of each one's distance to the true surface [m]
-  double density = 0.0;                 ///< that gaps were filled to [1/m^2]; 0: nothing was filled
+/// Why a stem, or part of it, was left as it was measured. Bits.
+enum CompletionFlag : std::uint8_t {
+  kCompletionTooFewPoints = 1U,  ///< fewer than min_points
+  kCompletionNoSurface = 2U,  ///< the points, or those of a stretch, lie on no one surface: a fork
+  kCompletionOpenGap = 4U,    ///< a gap is longer than max_gap
+  kCompletionUncertain = 8U,  ///< a part is known less well than max_stddev: one side only
+  kCompletionSeenEmpty = 16U  ///< the sensor saw through a gap
 };
 
-/// Fills the gaps of one stem (paper 2.5, Eq 17-23). A stem whose points do not carry a surface
-/// gives no points. The cost is bounded by `max_centers`. Thread-safe; deterministic.
-SyntheticPoints completeStem(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
-                             const GroundModel& ground, const CompletionParameters& parameters);
+/// The solved regions of a stem, from which a later completion of the same stem goes on.
+struct StemState;
+
+/// A stem with its gaps filled, in the local frame of the block's cloud.
+struct CompletedStem {
+  std::vector<Eigen::Vector3f> points;    ///< made up [m]
+  std::vector<std::uint32_t> colors;      ///< 0x00RRGGBB; empty when the cloud has none
+  std::vector<float> stddev;              ///< of each one's distance to the true surface [m]
+  std::vector<Eigen::Vector3f> smoothed;  ///< the measured points after Eq 25, in their order [m]
+  double density = 0.0;               ///< that gaps were filled to [1/m^2]; 0: nothing was filled
+  std::uint8_t flags = 0U;            ///< CompletionFlag
+  std::uint32_t regions = 0U;         ///< that the stem has
+  std::uint32_t regions_solved = 0U;  ///< of them solved anew
+  std::shared_ptr<const StemState> state;
+};
+
+/// Fills the gaps of one stem (paper 2.5, Eq 17-26), region by region on a coarse model. A stem
+/// whose points do not carry a surface gives no points and says so in its flags. The cost is
+/// bounded by `max_centers`, `density` and the stem's length. Thread-safe; deterministic.
+///
+/// @param previous the stem as completed before newer scans came, or null: regions whose points and
+///        coarse model are the same within 0.05 mm are taken over, the others solved again. The
+///        result is that of a completion from scratch within 0.1 mm.
+/// @param sight beams through the surroundings of the stem: nothing is filled in where they saw
+///        empty space; empty: not known
+CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
+                           const GroundModel& ground, const CompletionParameters& parameters,
+                           const StemState* previous = nullptr,
+                           const std::vector<SightLine>& sight = {});
 
 }  // namespace field_phenotyping

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <optional>
 #include <vector>
 
@@ -29,7 +30,14 @@ class SurfacePrior {
 
   /// Radius of the stem, that is R(s) with the ellipse [m].
   double radius(double theta, double s) const;
-  /// How far noise moves points outwards on average: sigma^2 / 2R, across a curved surface [m].
+  /// R(s) without the ellipse [m].
+  double meanRadiusAt(double s) const;
+  /// Shares of R(s): radius = R(s) (1 + ellipse[0] cos 2 theta + ellipse[1] sin 2 theta).
+  std::array<double, 2> ellipse() const;
+  /// Arc length on the given axis at which the frame begins [m]; a multiple of the knots' spacing.
+  double begin() const { return begin_; }
+  /// How far noise moves points outwards on average: about sigma^2 / 2R, across a curved
+  /// surface [m].
   double noiseBias(double s) const;
   /// Variance of the prior surface, along the radius [m^2].
   double variance(double theta, double s) const;
@@ -51,6 +59,7 @@ class SurfacePrior {
   double interval_length_ = 0.05;
   double mean_radius_ = 0.0;
   double noise_ = 0.0;
+  double begin_ = 0.0;
   Eigen::VectorXd coefficients_;  // axis shift u, axis shift v, radius of each knot; cos 2t, sin 2t
   Eigen::MatrixXd covariance_;    // of the coefficients
 };

@@ -1,0 +1,32 @@
+#pragma once
+
+#include <vector>
+
+#include "field_phenotyping/completion/gap_sampling.hpp"
+#include "field_phenotyping/completion/rbf_surface.hpp"
+
+namespace field_phenotyping {
+
+/// A point of the completed stem: its place and its deviation from the prior surface.
+struct CompletedPoint {
+  SurfacePosition position;
+  double deviation = 0.0;  ///< [m]
+};
+
+/// Topological defects of a completed stem (regions Omega_k of paper Eq 26) are holes in it: places
+/// where neither a measured nor a filled point is as near as the density asks for. Folds become
+/// holes: filled points that have left the stem, by more than `most_deviation` [m] from the prior
+/// surface, are taken out of `filled` first.
+std::vector<GapRegion> findDefects(const std::vector<SurfacePosition>& measured,
+                                   std::vector<CompletedPoint>& filled, double most_deviation,
+                                   const FillRange& range, double density, const StemShape& shape,
+                                   double mean_radius, long first_row);
+
+/// New points for one defect, one a cell, on the weighted RBF surface (Eq 26) through its boundary:
+/// the points within three spacings of it. Empty where it has no boundary.
+/// @param points all of the completed stem round the defect, in any order
+std::vector<CompletedPoint> repairDefect(const GapRegion& defect,
+                                         const std::vector<CompletedPoint>& points, double density,
+                                         double mean_radius, const RbfSurface::Options& options);
+
+}  // namespace field_phenotyping
