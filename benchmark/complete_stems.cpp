@@ -49,7 +49,7 @@ Completed complete(const GappyStem& stem, int repeats) {
     seconds.push_back(static_cast<double>(std::clock() - start) / CLOCKS_PER_SEC);
   }
   std::nth_element(seconds.begin(), seconds.begin() + repeats / 2, seconds.end());
-  completed.stem.measured = completed.points.smoothed;
+  completed.stem.measured = completed.points.solution.smoothed;
   completed.stem.filled = completed.points.points;
   completed.stem.stddev = completed.points.stddev;
   completed.stem.seconds = seconds[static_cast<std::size_t>(repeats / 2)];
@@ -93,7 +93,7 @@ class Runner {
     rows_.push_back(row);
     row = start(stem, damage, "ours", "default parameters");
     row["density_m2"] = density;
-    row["flags"] = ours.points.flags;
+    row["flags"] = ours.points.solution.flags;
     row.update(describe(ours.stem, stem, density > 0.0 ? density : 1.0));
     rows_.push_back(row);
     if (!(density > 0.0)) return;

@@ -20,14 +20,33 @@ CompletionStage::~CompletionStage() {
 
 boost::shared_ptr<const CompletedBlock> CompletionStage::work(
     const boost::shared_ptr<const SegmentedBlock>& block, const CompletionParameters& parameters) {
+  const BlockIndex index = block->header.index;
+  const boost::shared_ptr<const CompletedBlock> previous = latestOf(index);
   const auto completed =
-      boost::make_shared<CompletedBlock>(completeBlock(toStd(block), parameters));
+      boost::make_shared<CompletedBlock>(completeBlock(toStd(block), parameters, previous.get()));
+  keepLatest(index, completed);
   stage_.health().show("plants in the last block", static_cast<double>(block->plants.size()));
   stage_.health().show("synthetic points in the last block",
                        static_cast<double>(completed->synthetic.size()));
   done_.add(completed);
   completed_.changed();
   return completed;
+}
+
+boost::shared_ptr<const CompletedBlock> CompletionStage::latestOf(const BlockIndex& index) {
+  const std::lock_guard<std::mutex> lock(latest_mutex_);
+  const auto latest = latest_.find(index);
+  return latest == latest_.end() ? nullptr : latest->second;
+}
+
+void CompletionStage::keepLatest(const BlockIndex& index,
+                                 const boost::shared_ptr<const CompletedBlock>& block) {
+  const std::lock_guard<std::mutex> lock(latest_mutex_);
+  if (block->segmented->header.final) {
+    latest_.erase(index);  // no newer revision will come
+  } else {
+    latest_[index] = block;
+  }
 }
 
 }  // namespace field_phenotyping

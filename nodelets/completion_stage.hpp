@@ -3,6 +3,8 @@
 #include <field_phenotyping/CompletionConfig.h>
 #include <ros/ros.h>
 
+#include <map>
+#include <mutex>
 #include <string>
 
 #include "block_stage.hpp"
@@ -24,6 +26,12 @@ class CompletionStage {
   boost::shared_ptr<const CompletedBlock> work(const boost::shared_ptr<const SegmentedBlock>& block,
                                                const CompletionParameters& parameters);
 
+  boost::shared_ptr<const CompletedBlock> latestOf(const BlockIndex& index);
+  void keepLatest(const BlockIndex& index, const boost::shared_ptr<const CompletedBlock>& block);
+
+  std::mutex latest_mutex_;
+  /// Newest revision of each open block: only what newer scans touch is solved again.
+  std::map<BlockIndex, boost::shared_ptr<const CompletedBlock>> latest_;
   Stage stage_;
   BlockHistory<CompletedBlock> done_;
   DisplayTopic<CompletedBlock> completed_;

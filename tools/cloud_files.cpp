@@ -196,9 +196,12 @@ void writeCompleted(const std::string& path, const CloudFile& input, const Pipel
 
   std::size_t next = 0U;
   const auto append = [&](const PointCloud& cloud, const IndexSpan& span, std::int32_t id,
-                          bool synthetic) {
+                          bool synthetic, const std::vector<Eigen::Vector3f>& smoothed = {}) {
     for (std::uint32_t i = span.begin; i < span.end; ++i, ++next) {
-      storePosition(out, next, cloud.mapPoint(i));
+      const bool is_smoothed = smoothed.size() == span.size();
+      storePosition(
+          out, next,
+          is_smoothed ? cloud.origin + smoothed[i - span.begin].cast<double>() : cloud.mapPoint(i));
       store(out, next, 3U, synthetic ? kSyntheticColor : plantColor(id));
       store(out, next, 4U, id);
       store(out, next, 5U, static_cast<std::uint8_t>(synthetic ? 1U : 0U));
@@ -209,7 +212,7 @@ void writeCompleted(const std::string& path, const CloudFile& input, const Pipel
     for (std::size_t k = 0; k < segmented.plants.size(); ++k) {
       const Plant& plant = segmented.plants[k];
       if (!plant.owned) continue;
-      append(segmented.cloud, plant.stem, plant.id, false);
+      append(segmented.cloud, plant.stem, plant.id, false, block->stems[k].smoothed);
       append(block->synthetic, block->synthetic_span[k], plant.id, true);
     }
   }

@@ -7,14 +7,17 @@ namespace field_phenotyping {
 
 std::vector<double> filterDeviations(const std::vector<FilterPoint>& points,
                                      const std::vector<std::uint32_t>& wanted, double radius,
-                                     double sigma_space, double sigma_attribute) {
+                                     const FilterOptions& options) {
   constexpr double kReach = 2.0;  // standard deviations
-  constexpr std::ptrdiff_t kMostNeighbors = 64;
-  constexpr double kTwoPi = 6.28318530717958647692;
-  const double reach = kReach * sigma_space;
-  const double per_square = 0.5 / (sigma_space * sigma_space);
-  const double per_attribute = 0.5 / (sigma_attribute * sigma_attribute);
+  constexpr double kMostNeighbors = 40.0;
+  constexpr double kPi = 3.14159265358979323846;
+  const double reach = kReach * options.sigma_space;
+  const double per_square = 0.5 / (options.sigma_space * options.sigma_space);
+  const double per_attribute = 0.5 / (options.sigma_attribute * options.sigma_attribute);
+  const bool by_color = options.attribute == FilterAttribute::kColor;
   const auto before = [](const FilterPoint& p, double s) { return p.position.s < s; };
+  // Of a band round the whole stem, the neighbourhood is a share.
+  const double share = std::min(1.0, reach / (kPi * radius));
   std::vector<double> filtered;
   filtered.reserve(wanted.size());
   for (const std::uint32_t i : wanted) {
@@ -22,22 +25,24 @@ std::vector<double> filterDeviations(const std::vector<FilterPoint>& points,
     const auto first =
         std::lower_bound(points.begin(), points.end(), point.position.s - reach, before);
     const auto last = std::lower_bound(first, points.end(), point.position.s + reach, before);
-    // A band round the whole stem, of which the neighbourhood is a share.
-    const double share = std::min(1.0, 2.0 * reach / (kTwoPi * radius));
     const auto stride = static_cast<std::ptrdiff_t>(
         1.0 + share * static_cast<double>(last - first) / kMostNeighbors);
-    double sum = point.deviation;
-    double total = 1.0;
-    for (auto other = first; other < last; other += std::min(stride, last - other)) {
-      const double along = other->position.s - point.position.s;
-      const double around =
-          radius * std::remainder(other->position.theta - point.position.theta, kTwoPi);
-      const double squared = along * along + around * around;
-      if (squared > reach * reach || &*other == &point) continue;
-      const double attribute =
-          static_cast<double>((other->attribute - point.attribute).squaredNorm());
-      const double weight = std::exp(-per_square * squared - per_attribute * attribute);
-      sum += weight * other->deviation;
+    double sum = point.weight * point.deviation;
+    double total = point.weight;
+    for (std::ptrdiff_t k = 0; k < last - first; k += stride) {
+      const FilterPoint& other = first[k];
+      double turn = std::abs(other.position.theta - point.position.theta);
+      if (turn > kPi) turn = std::abs(turn - 2.0 * kPi);
+      const double along = other.position.s - point.position.s;
+      const double squared = along * along + radius * radius * turn * turn;
+      if (squared > reach * reach || &other == &point) continue;
+      // Normals that differ by an angle are a chord of the unit circle apart.
+      const double attribute = by_color
+                                   ? static_cast<double>((other.color - point.color).squaredNorm())
+                                   : turn * turn * (1.0 - turn * turn / 12.0);
+      const double weight =
+          other.weight * std::exp(-per_square * squared - per_attribute * attribute);
+      sum += weight * other.deviation;
       total += weight;
     }
     filtered.push_back(sum / total);

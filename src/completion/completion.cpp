@@ -1,5 +1,6 @@
 #include "field_phenotyping/completion/completion.hpp"
 
+#include <algorithm>
 #include <utility>
 #include <vector>
 
@@ -8,15 +9,30 @@
 
 namespace field_phenotyping {
 
+namespace {
+
+/// The plant's stem in an older revision; null where it was not there.
+const StemState* stateOf(const CompletedBlock* previous, std::int32_t id) {
+  if (previous == nullptr || id < 0) return nullptr;
+  const std::vector<Plant>& plants = previous->segmented->plants;
+  for (std::size_t i = 0; i < std::min(plants.size(), previous->stems.size()); ++i) {
+    if (plants[i].id == id) return previous->stems[i].state.get();
+  }
+  return nullptr;
+}
+
+}  // namespace
+
 CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
-                             const CompletionParameters& parameters) {
+                             const CompletionParameters& parameters,
+                             const CompletedBlock* previous) {
   const std::vector<Plant>& plants = segmented->plants;
   std::vector<CompletedStem> stems(plants.size());
   if (parameters.enabled) {
     parallelFor(plants.size(), [&](std::size_t i) {
       if (!plants[i].owned) return;
       stems[i] = completeStem(segmented->cloud, plants[i].stem, plants[i].axis, segmented->ground,
-                              parameters);
+                              parameters, stateOf(previous, plants[i].id));
     });
   }
 
@@ -24,7 +40,7 @@ CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
   CompletedBlock completed;
   completed.synthetic.origin = segmented->cloud.origin;
   completed.synthetic_span.reserve(plants.size());
-  for (const CompletedStem& stem : stems) {
+  for (CompletedStem& stem : stems) {
     PointCloud& cloud = completed.synthetic;
     const auto begin = static_cast<std::uint32_t>(cloud.size());
     cloud.points.insert(cloud.points.end(), stem.points.begin(), stem.points.end());
@@ -32,6 +48,7 @@ CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
     completed.synthetic_stddev.insert(completed.synthetic_stddev.end(), stem.stddev.begin(),
                                       stem.stddev.end());
     completed.synthetic_span.push_back({begin, static_cast<std::uint32_t>(cloud.size())});
+    completed.stems.push_back(std::move(stem.solution));
   }
   completed.segmented = std::move(segmented);
   return completed;

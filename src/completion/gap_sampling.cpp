@@ -94,46 +94,48 @@ Outline outlineAt(double theta, const std::array<double, 2>& ellipse) {
   return {r, (r * r + 2.0 * first * first - r * second) / std::pow(r * r + first * first, 1.5)};
 }
 
-/// Missing cells connected to `seed`, which are unmarked; in order of the cells.
-std::vector<std::size_t> takeRegion(const CellGrid& grid, std::size_t seed,
-                                    std::vector<char>& missing) {
-  std::vector<std::size_t> region{seed};
-  missing[seed] = 0;
-  for (std::size_t next = 0; next < region.size(); ++next) {
-    const auto columns = static_cast<std::size_t>(grid.columns());
-    const auto row = static_cast<int>(region[next] / columns);
-    const auto column = static_cast<int>(region[next] % columns);
-    for (int dr = -1; dr <= 1; ++dr) {
-      if (row + dr < 0 || row + dr >= grid.rows()) continue;
-      for (int dc = -1; dc <= 1; ++dc) {
-        const std::size_t neighbor = grid.cellAt(row + dr, column + dc);
-        if (missing[neighbor] == 0) continue;
-        missing[neighbor] = 0;
-        region.push_back(neighbor);
+/// Numbers the connected parts of the missing cells from 1, in order of their lowest cell; 0: not
+/// missing. Returns how many there are.
+int labelRegions(const CellGrid& grid, const std::vector<char>& missing, std::vector<int>& label) {
+  label.assign(grid.size(), 0);
+  int regions = 0;
+  std::vector<std::size_t> open;
+  const int last_column = grid.columns() - 1;
+  for (std::size_t seed = 0; seed < grid.size(); ++seed) {
+    if (missing[seed] == 0 || label[seed] != 0) continue;
+    label[seed] = ++regions;
+    open.assign(1, seed);
+    while (!open.empty()) {
+      const std::size_t cell = open.back();
+      open.pop_back();
+      const auto row = static_cast<int>(cell / static_cast<std::size_t>(grid.columns()));
+      const auto column = static_cast<int>(cell % static_cast<std::size_t>(grid.columns()));
+      const std::array<int, 3> columns{column > 0 ? column - 1 : last_column, column,
+                                       column < last_column ? column + 1 : 0};
+      for (int r = std::max(row - 1, 0); r <= std::min(row + 1, grid.rows() - 1); ++r) {
+        const std::size_t first =
+            static_cast<std::size_t>(r) * static_cast<std::size_t>(grid.columns());
+        for (const int c : columns) {
+          const std::size_t neighbor = first + static_cast<std::size_t>(c);
+          if (missing[neighbor] == 0 || label[neighbor] != 0) continue;
+          label[neighbor] = regions;
+          open.push_back(neighbor);
+        }
       }
     }
   }
-  std::sort(region.begin(), region.end());
-  return region;
+  return regions;
 }
 
-GapRegion describeRegion(const CellGrid& grid, const std::vector<std::size_t>& cells,
-                         const std::vector<double>& radii, const std::vector<Outline>& outlines) {
-  GapRegion region;
-  region.cell_angle = grid.columnAngle();
-  const auto columns = static_cast<std::size_t>(grid.columns());
-  for (const std::size_t cell : cells) {
-    const double mean_radius = radii[cell / columns];
-    const Outline& outline = outlines[cell % columns];
-    const double r = mean_radius * outline.radius;
-    const double area = r * grid.columnAngle() * grid.rowHeight();
-    region.cells.push_back(grid.center(cell));
-    region.area += area;
-    region.volume += 0.5 * r * area;
-    region.curvature += area * outline.curvature / mean_radius;
-  }
-  region.curvature /= region.area;
-  return region;
+/// Adds one cell to a region; its curvature is summed up over the area.
+void addCell(const CellGrid& grid, std::size_t cell, double mean_radius, const Outline& outline,
+             GapRegion& region) {
+  const double r = mean_radius * outline.radius;
+  const double area = r * grid.columnAngle() * grid.rowHeight();
+  region.cells.push_back(grid.center(cell));
+  region.area += area;
+  region.volume += 0.5 * r * area;
+  region.curvature += area * outline.curvature / mean_radius;
 }
 
 }  // namespace
@@ -199,11 +201,18 @@ std::vector<GapRegion> findGaps(const std::vector<SurfacePosition>& measured,
     if (range.contains(s)) continue;
     for (int column = 0; column < grid.columns(); ++column) missing[grid.cellAt(row, column)] = 0;
   }
-  std::vector<GapRegion> regions;
+  std::vector<int> label;
+  GapRegion none;
+  none.cell_angle = grid.columnAngle();
+  std::vector<GapRegion> regions(static_cast<std::size_t>(labelRegions(grid, missing, label)),
+                                 none);
+  const auto columns = static_cast<std::size_t>(grid.columns());
   for (std::size_t cell = 0; cell < grid.size(); ++cell) {
-    if (missing[cell] == 0) continue;
-    regions.push_back(describeRegion(grid, takeRegion(grid, cell, missing), radii, outlines));
+    if (label[cell] == 0) continue;
+    addCell(grid, cell, radii[cell / columns], outlines[cell % columns],
+            regions[static_cast<std::size_t>(label[cell] - 1)]);
   }
+  for (GapRegion& region : regions) region.curvature /= region.area;
   return regions;
 }
 

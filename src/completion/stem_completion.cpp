@@ -19,7 +19,7 @@ namespace {
 
 constexpr double kTwoPi = 6.28318530717958647692;
 constexpr double kMinRobustWeight = 0.1;
-constexpr double kMaxPoints = 60000.0;  // made up per stem, whatever density is asked for
+constexpr double kMaxPoints = 40000.0;  // made up per stem, whatever density is asked for
 constexpr double kMaxDensity = 1e6;     // [1/m^2] finer than any sensor
 constexpr double kSoilStep = 0.005;     // [m]
 constexpr double kSameModel = 5e-5;     // [m] half of what a region taken over may be off
@@ -38,7 +38,9 @@ struct SolvedRegion {
   std::uint64_t points = 0U;            ///< hash of the measured points in and round it
   std::array<Eigen::Vector3d, 3> axis;  ///< of the coarse model, ends and middle [m]
   std::array<double, 3> radius{};       ///< [m]
-  std::vector<double> range;            ///< what may be filled of it, from its begin [m]
+  std::array<double, 3>
+      soil{};  ///< height of the axis above it [m]; what is high above does not matter
+  std::vector<double> range;  ///< what may be filled of it, from its begin [m]
   StemRegion region;
 };
 
@@ -141,11 +143,8 @@ std::uint64_t hashOf(const StemPoint& p) {
 /// Of the measured points in and round a region, whatever their order.
 std::uint64_t hashPoints(const StemModel& model, double begin, double end) {
   std::uint64_t hash = 0U;
-  for (const StemPoint& p : model.points) {
-    if (p.unrolled.s >= begin - kRegionMargin && p.unrolled.s < end + kRegionMargin) {
-      hash += hashOf(p);
-    }
-  }
+  const auto [first, last] = pointsBetween(model, begin - kRegionMargin, end + kRegionMargin);
+  for (auto p = first; p != last; ++p) hash += hashOf(*p);
   return hash;
 }
 
@@ -157,6 +156,12 @@ SolvedRegion describeRegion(const StemModel& model, long index) {
     const double s = begin + 0.5 * kRegionLength * static_cast<double>(k);
     solved.axis[k] = model.prior.frame().at(s).position;
     solved.radius[k] = model.prior.meanRadiusAt(s);
+    constexpr double kHigh = 0.2;  // [m] from there on no point can reach the soil
+    solved.soil[k] =
+        model.ground.empty()
+            ? kHigh
+            : std::min(kHigh,
+                       static_cast<double>(model.ground.heightAbove(solved.axis[k].cast<float>())));
   }
   const auto within = [&](double s) { return std::clamp(s - begin, 0.0, kRegionLength); };
   solved.range = {within(model.range.begin), within(model.range.end)};
@@ -174,6 +179,7 @@ bool isSame(const SolvedRegion& a, const SolvedRegion& b) {
     if (std::abs(a.range[k] - b.range[k]) > kSameModel) return false;
   }
   for (std::size_t k = 0; k < a.axis.size(); ++k) {
+    if (std::abs(a.soil[k] - b.soil[k]) > kSameModel) return false;
     if ((a.axis[k] - b.axis[k]).norm() + std::abs(a.radius[k] - b.radius[k]) > kSameModel) {
       return false;
     }
@@ -201,13 +207,14 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
                            const GroundModel& ground, const CompletionParameters& parameters,
                            const StemState* previous, const std::vector<SightLine>& sight) {
   CompletedStem completed;
-  completed.smoothed.assign(cloud.points.begin() + stem.begin, cloud.points.begin() + stem.end);
+  completed.solution.smoothed.assign(cloud.points.begin() + stem.begin,
+                                     cloud.points.begin() + stem.end);
   const auto min_points = static_cast<std::size_t>(parameters.min_points);
   if (stem.size() < min_points) {
-    completed.flags = kCompletionTooFewPoints;
+    completed.solution.flags = kCompletionTooFewPoints;
     return completed;
   }
-  completed.flags = kCompletionNoSurface;
+  completed.solution.flags = kCompletionNoSurface;
   if (axis.empty()) return completed;
 
   // Step 2, coarse: cylinder prior (Eq 18).
@@ -220,16 +227,16 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
   model.prior_weight = parameters.prior_weight;
   const std::vector<SurfaceSample> samples = surfaceSamples(model);
   if (samples.size() < min_points) return completed;
-  completed.flags = 0U;
+  completed.solution.flags = 0U;
 
   std::vector<double> arc_lengths;
   for (const SurfaceSample& sample : samples) arc_lengths.push_back(sample.position.s);
   model.range = findFillRange(std::move(arc_lengths), parameters.max_gap);
   model.range.begin = lowerEnd(*prior, ground, model.range.begin, parameters.max_gap);
-  if (!model.range.open.empty()) completed.flags |= kCompletionOpenGap;
+  if (!model.range.open.empty()) completed.solution.flags |= kCompletionOpenGap;
   for (const auto& stretch : emptyStretches(*prior, sight)) {
     model.range.open.push_back(stretch);
-    completed.flags |= kCompletionSeenEmpty;
+    completed.solution.flags |= kCompletionSeenEmpty;
   }
   model.density = densityOf(samples, *prior, model.range.end - model.range.begin, parameters);
   completed.density = model.density;
@@ -259,28 +266,28 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
   const double high = std::max(model.range.end, model.points.back().unrolled.s);
   for (long k = regionAt(*prior, low); k <= regionAt(*prior, high); ++k) {
     SolvedRegion solved = describeRegion(model, k);
-    ++completed.regions;
+    const std::vector<std::uint32_t> own = regionPoints(model, k);
+    ++completed.solution.regions;
     const auto old =
         may_take_over ? previous->regions.find(k) : std::map<long, SolvedRegion>::const_iterator{};
     if (may_take_over && old != previous->regions.end() && isSame(old->second, solved)) {
       solved = old->second;
     } else {
-      solved.region = solveRegion(model, k);
-      ++completed.regions_solved;
+      solved.region = solveRegion(model, k, own);
+      ++completed.solution.regions_solved;
     }
     const StemRegion& region = solved.region;
     completed.points.insert(completed.points.end(), region.points.begin(), region.points.end());
     completed.colors.insert(completed.colors.end(), region.colors.begin(), region.colors.end());
     completed.stddev.insert(completed.stddev.end(), region.stddev.begin(), region.stddev.end());
-    if (region.uncertain > 0U) completed.flags |= kCompletionUncertain;
-    if (region.no_surface) completed.flags |= kCompletionNoSurface;
-    const std::vector<std::uint32_t> own = regionPoints(model, k);
+    if (region.uncertain > 0U) completed.solution.flags |= kCompletionUncertain;
+    if (region.no_surface) completed.solution.flags |= kCompletionNoSurface;
     for (std::size_t i = 0; i < own.size(); ++i) {
-      completed.smoothed[model.points[own[i]].rank] = region.smoothed[i];
+      completed.solution.smoothed[model.points[own[i]].rank] = region.smoothed[i];
     }
     state->regions.emplace(k, std::move(solved));
   }
-  completed.state = state;
+  completed.solution.state = state;
   return completed;
 }
 

@@ -95,7 +95,7 @@ struct NoiseEffect {
 
   /// Sums over a grid of noise. @param noise over the radius
   static NoiseEffect integrate(double noise) {
-    constexpr int kHalf = 60;
+    constexpr int kHalf = 40;
     constexpr double kReach = 5.0;  // standard deviations
     struct Sample {
       double beyond, cosine, probability;

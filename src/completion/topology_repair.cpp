@@ -39,7 +39,7 @@ std::vector<CompletedPoint> repairDefect(const GapRegion& defect,
   const RbfSurface surface(centers, mean_radius, options);
   std::vector<CompletedPoint> repaired;
   for (const SurfacePosition& cell : defect.cells)
-    repaired.push_back({cell, surface.valueAt(cell)});
+    repaired.push_back({cell, surface.valueAt(cell), 0.0});
   return repaired;
 }
 

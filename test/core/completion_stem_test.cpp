@@ -185,7 +185,7 @@ const std::vector<Case>& gapCases() {
       {"gap 10 cm", {{0.5, 0.6}}},
       {"gap 20 cm", {{0.45, 0.65}}},
       {"shadow 40 cm", {}, {0.4, 0.8}},
-      {"one side only", {}, {-1.0, 9.0}, 0.0, 2.4e-3},
+      {"one side only", {}, {-1.0, 9.0}, 0.0, 2.0e-3},
       {"gap 20 cm, shadow", {{0.3, 0.5}}, {0.7, 1.0}},
       {"gap 20 cm, 15 % leaf", {{0.45, 0.65}}, {0.0, 0.0}, 0.15, 1.3e-3}};
   return cases;
@@ -282,7 +282,9 @@ TEST(CompletionStem, ReachesTheSoilAndNeverGoesBelow) {
     for (const Vector3f& point : completed.synthetic.points) z = std::min(z, point.z());
     return z;
   };
-  const float on_soil = lowest(completeBlock(block, {}));
+  CompletionParameters parameters;
+  parameters.max_stddev = 0.0;  // however little is known of the surface there
+  const float on_soil = lowest(completeBlock(block, parameters));
   EXPECT_GE(on_soil, 0.0F);
   EXPECT_LT(on_soil, 0.02F);
 
@@ -463,7 +465,7 @@ TEST(CompletionStem, BoundsWhatItMakesUp) {
   CompletionParameters parameters;
   parameters.density = 1e7;
   const CompletedBlock completed = completeBlock(makeBlock(scene), parameters);
-  EXPECT_LT(completed.synthetic.size(), 22000U);
+  EXPECT_LT(completed.synthetic.size(), 42000U);
   EXPECT_GT(completed.synthetic.size(), 10000U);
 }
 

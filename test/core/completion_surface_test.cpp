@@ -174,9 +174,9 @@ TEST(CompletionSurface, RbfSurvivesCoincidentCentres) {
 
 TEST(CompletionSurface, ThinningKeepsMeansAndWeights) {
   const std::vector<SurfaceSample> samples = sampleWaves(5000, 10);
-  const std::vector<SurfaceSample> thinned = thinSamples(samples, kRadius, 200);
-  EXPECT_LE(thinned.size(), 200U);
-  EXPECT_GT(thinned.size(), 100U);
+  const std::vector<SurfaceSample> thinned = thinSamples(samples, {0.01, 6});
+  EXPECT_LE(thinned.size(), 180U);
+  EXPECT_GT(thinned.size(), 150U);
   double weight = 0.0, value = 0.0, expected = 0.0;
   for (const SurfaceSample& sample : thinned) {
     weight += sample.weight;
@@ -185,7 +185,18 @@ TEST(CompletionSurface, ThinningKeepsMeansAndWeights) {
   for (const SurfaceSample& sample : samples) expected += sample.value;
   EXPECT_NEAR(weight, 5000.0, 1e-6);
   EXPECT_NEAR(value, expected, 1e-9);
-  EXPECT_EQ(thinSamples(sampleWaves(150, 1), kRadius, 200).size(), 150U);
+  EXPECT_TRUE(thinSamples({}, {0.01, 6}).empty());
+}
+
+TEST(CompletionSurface, AmplitudeIsWithoutTheNoise) {
+  std::mt19937 random(4);
+  std::normal_distribution<double> noise(0.0, 0.001);
+  std::vector<SurfaceSample> samples = sampleWaves(4000, 12);
+  const double alone = amplitudeOf(samples, 0.0);
+  EXPECT_GT(alone, 6e-4);
+  for (SurfaceSample& sample : samples) sample.value += noise(random);
+  EXPECT_NEAR(amplitudeOf(samples, 0.001), alone, 1e-4);
+  EXPECT_GT(amplitudeOf(samples, 0.1), 0.0);
 }
 
 TEST(CompletionSurface, PriorHasTheRadiusOfTheStem) {
@@ -240,11 +251,10 @@ std::vector<SurfacePosition> patternWithHole(double spacing) {
 TEST(CompletionGaps, FindsOneHoleAcrossTheSeam) {
   constexpr double kSpacing = 0.004;
   const std::vector<SurfacePosition> positions = patternWithHole(kSpacing);
-  const SurfaceIndex index(positions, kRadius);
-  const auto radius = [](const SurfacePosition&) { return kRadius; };
+  const StemShape shape{[](double) { return kRadius; }};
   const FillRange range{0.0, 0.4, {}};
   const double density = 1.0 / (kSpacing * kSpacing);
-  const std::vector<GapRegion> gaps = findGaps(index, range, density, radius);
+  const std::vector<GapRegion> gaps = findGaps(positions, range, density, shape, kRadius);
   ASSERT_EQ(gaps.size(), 1U);
   const double true_area = 0.1 * kPi * kRadius;
   EXPECT_NEAR(gaps[0].area, true_area, 0.15 * true_area);
@@ -284,11 +294,10 @@ TEST(CompletionGaps, MedianDensityIsThatOfThePattern) {
 
 TEST(CompletionGaps, NothingToDoGivesNoGaps) {
   const std::vector<SurfacePosition> positions = patternWithHole(0.004);
-  const SurfaceIndex index(positions, kRadius);
-  const auto radius = [](const SurfacePosition&) { return kRadius; };
-  EXPECT_TRUE(findGaps(index, {0.0, 0.4, {}}, 0.0, radius).empty());
-  EXPECT_TRUE(findGaps(index, {0.3, 0.3, {}}, 1e4, radius).empty());
-  EXPECT_TRUE(findGaps(index, {0.1, 0.3, {{0.1, 0.3}}}, 1e5, radius).empty());
+  const StemShape shape{[](double) { return kRadius; }};
+  EXPECT_TRUE(findGaps(positions, {0.0, 0.4, {}}, 0.0, shape, kRadius).empty());
+  EXPECT_TRUE(findGaps(positions, {0.3, 0.3, {}}, 1e4, shape, kRadius).empty());
+  EXPECT_TRUE(findGaps(positions, {0.1, 0.3, {{0.1, 0.3}}}, 1e5, shape, kRadius).empty());
 }
 
 }  // namespace

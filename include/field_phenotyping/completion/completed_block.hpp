@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <memory>
 #include <vector>
 
@@ -7,6 +8,20 @@
 #include "field_phenotyping/segmentation/segmented_block.hpp"
 
 namespace field_phenotyping {
+
+struct StemState;
+
+/// How one stem was completed, beside the points. Between processes it is not sent: then no block
+/// has any.
+struct StemSolution {
+  std::uint8_t flags = 0U;  ///< CompletionFlag of completion/stem_completion.hpp
+  /// The measured stem points, in their order, after the bilateral filter (Eq 25), same frame. They
+  /// complete the picture: traits are measured from the points as they were.
+  std::vector<Eigen::Vector3f> smoothed;
+  std::uint32_t regions = 0U;              ///< that the stem was solved in
+  std::uint32_t regions_solved = 0U;       ///< of them solved anew, not taken over
+  std::shared_ptr<const StemState> state;  ///< from which a newer revision goes on
+};
 
 /// A segmented block together with the stem points that were filled in (paper 2.5).
 ///
@@ -17,6 +32,7 @@ struct CompletedBlock {
   PointCloud synthetic;                   ///< interpolated stem points, same origin as the block's
   std::vector<float> synthetic_stddev;    ///< of each one's distance to the true surface [m]
   std::vector<IndexSpan> synthetic_span;  ///< one per plant of `segmented`, into `synthetic`
+  std::vector<StemSolution> stems;        ///< one per plant, or none at all
 };
 
 }  // namespace field_phenotyping

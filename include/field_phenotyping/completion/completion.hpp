@@ -8,9 +8,12 @@
 namespace field_phenotyping {
 
 /// Third stage: fills the gaps in every owned stem by radial basis functions on the unrolled stem
-/// surface (paper 2.5, Eq 17-24). Measured points are not touched; a stem that cannot carry a
-/// surface is left as it is. Thread-safe; deterministic.
+/// surface (paper 2.5, Eq 17-26). Measured points are not touched; a stem that cannot carry a
+/// surface is left as it is, and its flags say why. Thread-safe; deterministic.
+/// @param previous an older revision of the block as completed in this process, or null: of plants
+///        with the same id only the regions that newer scans touch are solved again (2.6.1)
 CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
-                             const CompletionParameters& parameters);
+                             const CompletionParameters& parameters,
+                             const CompletedBlock* previous = nullptr);
 
 }  // namespace field_phenotyping

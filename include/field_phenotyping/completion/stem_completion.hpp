@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "field_phenotyping/common/point_cloud.hpp"
+#include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/completion/sight_lines.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/ground_model.hpp"
@@ -21,20 +22,13 @@ enum CompletionFlag : std::uint8_t {
   kCompletionSeenEmpty = 16U  ///< the sensor saw through a gap
 };
 
-/// The solved regions of a stem, from which a later completion of the same stem goes on.
-struct StemState;
-
 /// A stem with its gaps filled, in the local frame of the block's cloud.
 struct CompletedStem {
-  std::vector<Eigen::Vector3f> points;    ///< made up [m]
-  std::vector<std::uint32_t> colors;      ///< 0x00RRGGBB; empty when the cloud has none
-  std::vector<float> stddev;              ///< of each one's distance to the true surface [m]
-  std::vector<Eigen::Vector3f> smoothed;  ///< the measured points after Eq 25, in their order [m]
-  double density = 0.0;               ///< that gaps were filled to [1/m^2]; 0: nothing was filled
-  std::uint8_t flags = 0U;            ///< CompletionFlag
-  std::uint32_t regions = 0U;         ///< that the stem has
-  std::uint32_t regions_solved = 0U;  ///< of them solved anew
-  std::shared_ptr<const StemState> state;
+  std::vector<Eigen::Vector3f> points;  ///< made up [m]
+  std::vector<std::uint32_t> colors;    ///< 0x00RRGGBB; empty when the cloud has none
+  std::vector<float> stddev;            ///< of each one's distance to the true surface [m]
+  double density = 0.0;                 ///< that gaps were filled to [1/m^2]; 0: nothing was filled
+  StemSolution solution;
 };
 
 /// Fills the gaps of one stem (paper 2.5, Eq 17-26), region by region on a coarse model. A stem

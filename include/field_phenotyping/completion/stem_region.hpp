@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <utility>
 #include <vector>
 
 #include "field_phenotyping/common/point_cloud.hpp"
@@ -50,6 +51,10 @@ struct StemRegion {
   bool no_surface = false;       ///< its points do not lie on one surface, as at a fork
 };
 
+/// The points of the model with arc lengths in [begin, end).
+std::pair<std::vector<StemPoint>::const_iterator, std::vector<StemPoint>::const_iterator>
+pointsBetween(const StemModel& model, double begin, double end);
+
 /// Indices into model.points of a region's measured points, ordered by their coordinates: the order
 /// of StemRegion::smoothed, whatever else of the stem changes.
 std::vector<std::uint32_t> regionPoints(const StemModel& model, long index);
@@ -61,6 +66,7 @@ double regionBegin(const SurfacePrior& prior, long index);  ///< arc length of t
 /// Steps 2 to 6 of paper 2.5 for one region: deviations from the prior (Eq 20) interpolated (Eq 19,
 /// 21), where and how many points are missing (Eq 22), their colours (Eq 23), the bilateral filter
 /// (Eq 25), and repair of defects (Eq 26). Reads the points of the region and of its margin only.
-StemRegion solveRegion(const StemModel& model, long index);
+/// @param own of regionPoints()
+StemRegion solveRegion(const StemModel& model, long index, const std::vector<std::uint32_t>& own);
 
 }  // namespace field_phenotyping

@@ -11,6 +11,7 @@ namespace field_phenotyping {
 struct CompletedPoint {
   SurfacePosition position;
   double deviation = 0.0;  ///< [m]
+  double variance = 0.0;   ///< of the surface there [m^2], where it is known
 };
 
 /// Topological defects of a completed stem (regions Omega_k of paper Eq 26) are holes in it: places
