@@ -193,7 +193,7 @@ struct CompletionParameters {
   double max_gap = 0.25;
   double density = 0.0;
   int points_around = 32;
-  double max_stddev = 0.002;
+  double max_stddev = 0.0015;
   double smoothing = 0.3;
   int min_points = 12;
 

@@ -25,12 +25,18 @@ std::vector<double> filterDeviations(const std::vector<FilterPoint>& points,
     const auto first =
         std::lower_bound(points.begin(), points.end(), point.position.s - reach, before);
     const auto last = std::lower_bound(first, points.end(), point.position.s + reach, before);
-    const auto stride = static_cast<std::ptrdiff_t>(
-        1.0 + share * static_cast<double>(last - first) / kMostNeighbors);
+    // In powers of two, and always the same ones, so that a few more points change little.
+    std::size_t stride = 1U;
+    while (share * static_cast<double>(last - first) >
+           kMostNeighbors * static_cast<double>(stride)) {
+      stride *= 2U;
+    }
+    const auto begin = static_cast<std::size_t>(first - points.begin());
+    const auto end = static_cast<std::size_t>(last - points.begin());
     double sum = point.weight * point.deviation;
     double total = point.weight;
-    for (std::ptrdiff_t k = 0; k < last - first; k += stride) {
-      const FilterPoint& other = first[k];
+    for (std::size_t k = (begin + stride - 1U) / stride * stride; k < end; k += stride) {
+      const FilterPoint& other = points[k];
       double turn = std::abs(other.position.theta - point.position.theta);
       if (turn > kPi) turn = std::abs(turn - 2.0 * kPi);
       const double along = other.position.s - point.position.s;

@@ -19,10 +19,12 @@ namespace {
 
 constexpr double kTwoPi = 6.28318530717958647692;
 constexpr double kMinRobustWeight = 0.1;
-constexpr double kMaxPoints = 40000.0;  // made up per stem, whatever density is asked for
-constexpr double kMaxDensity = 1e6;     // [1/m^2] finer than any sensor
-constexpr double kSoilStep = 0.005;     // [m]
-constexpr double kSameModel = 5e-5;     // [m] half of what a region taken over may be off
+constexpr double kMaxPoints = 40000.0;       // made up per stem, whatever density is asked for
+constexpr double kMaxDensity = 1e6;          // [1/m^2] finer than any sensor
+constexpr double kMinPointsPerMetre = 50.0;  // three for each knot of the coarse model: with fewer
+                                             // it cannot tell noise from shape
+constexpr double kSoilStep = 0.005;          // [m]
+constexpr double kSameModel = 5e-5;          // [m] half of what a region taken over may be off
 constexpr double kLevel = 0.15;  // of a settings' logarithm: what follows from all points of a
                                  // stem moves in such steps, so that a few more change nothing
 
@@ -228,6 +230,11 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
   const std::vector<SurfaceSample> samples = surfaceSamples(model);
   if (samples.size() < min_points) return completed;
   completed.solution.flags = 0U;
+  const double seen = model.points.back().unrolled.s - model.points.front().unrolled.s;
+  if (static_cast<double>(samples.size()) < kMinPointsPerMetre * seen) {
+    completed.solution.flags = kCompletionTooFewPoints;
+    return completed;
+  }
 
   std::vector<double> arc_lengths;
   for (const SurfaceSample& sample : samples) arc_lengths.push_back(sample.position.s);

@@ -176,7 +176,7 @@ class RegionSolver {
   /// Whether the region's points lie about its prior surface: not on the branches of a fork.
   bool isOneSurface() const {
     constexpr std::size_t kEnough = 8;
-    constexpr double kLeastShare = 0.5;
+    constexpr double kLeastShare = 0.65;
     const auto [first, last] = pointsBetween(model_, begin_, end_);
     const auto all = static_cast<std::size_t>(last - first);
     if (all < kEnough) return true;

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
+#include <cstring>
 #include <limits>
 #include <random>
 #include <tuple>
@@ -19,11 +21,12 @@ constexpr double kNodeSpacing = 0.01;  // [m] of the frame
 constexpr double kMaxLength = 5.0;     // [m]
 constexpr double kKnotSpacing = 0.06;  // [m] of the splines; doubled until they are few enough
 constexpr int kMaxIntervals = 36;
+constexpr std::size_t kFewestPoints = 4;
 constexpr std::size_t kMaxFitPoints = 1500;
 constexpr std::size_t kMaxScoredPoints = 250;
 constexpr int kHypotheses = 128;
-constexpr int kMaxIterations = 8;
-constexpr double kConverged = 1e-4;  // [m]
+constexpr int kMaxIterations = 10;
+constexpr double kConverged = 2e-5;  // [m] so that a few more points move little
 constexpr double kTukey = 3.5;       // cuts off leaf bases; and at this value the inverse of
                                      // the normal matrix is the covariance of the fit
 constexpr double kMadToSigma = 1.4826;
@@ -282,14 +285,34 @@ struct Cone {
   }
 };
 
+/// Bits that scatter with a point's coordinates.
+std::uint64_t hashOf(const Vector3d& point) {
+  std::uint64_t hash = 0U;
+  for (int axis = 0; axis < 3; ++axis) {
+    std::uint64_t bits = 0U;
+    std::memcpy(&bits, &point[axis], sizeof(bits));
+    hash = (hash ^ bits) * 0x9E3779B97F4A7C15U;
+    hash ^= hash >> 29U;
+  }
+  return hash >> 8U;
+}
+
 }  // namespace
 
 /// The steps of SurfacePrior::fit().
 class SurfacePriorFitter {
  public:
   SurfacePriorFitter(const std::vector<Vector3d>& points, const StemAxis& axis) : axis_(axis) {
-    const std::size_t stride = 1 + (points.size() - 1) / kMaxFitPoints;
-    for (std::size_t i = 0; i < points.size(); i += stride) points_.push_back(points[i]);
+    // Which points are left out depends on each alone, and how many on their number in steps: a few
+    // more points leave the fit about as it was.
+    std::uint64_t of_16 = 16U;
+    while (of_16 > 1U && of_16 * points.size() > 16U * kMaxFitPoints) --of_16;
+    while (of_16 == 1U && points.size() > 16U * stride_ * kMaxFitPoints) stride_ *= 2U;
+    for (const Vector3d& point : points) {
+      const std::uint64_t hash = hashOf(point);
+      if (hash % 16U < of_16 && hash / 16U % stride_ == 0U) points_.push_back(point);
+    }
+    if (points_.size() < kFewestPoints) points_ = points;
   }
 
   std::optional<SurfacePrior> run(double extend) {
@@ -687,6 +710,7 @@ class SurfacePriorFitter {
 
   const StemAxis& axis_;
   std::vector<Vector3d> points_;
+  std::uint64_t stride_ = 1U;
   double given_radius_ = 0.0;      // median over the points [m]
   double spacing_ = kKnotSpacing;  // of the knots [m]
   double given_begin_ = 0.0;       // arc length on the segmented axis where the frame begins [m]
@@ -709,7 +733,6 @@ SurfacePrior::SurfacePrior(StemFrame frame, int intervals)
 
 std::optional<SurfacePrior> SurfacePrior::fit(const std::vector<Vector3d>& points,
                                               const StemAxis& axis, double extend) {
-  constexpr std::size_t kFewestPoints = 4;
   if (points.size() < kFewestPoints || axis.empty()) return std::nullopt;
   return SurfacePriorFitter(points, axis).run(extend);
 }

@@ -1,5 +1,6 @@
 #include <gtest/gtest.h>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
@@ -11,6 +12,7 @@
 
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/completion/completion.hpp"
+#include "field_phenotyping/completion/stem_completion.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -400,6 +402,209 @@ TEST(CompletionStem, AddsNothingWhenDisabled) {
   EXPECT_TRUE(completed.synthetic_stddev.empty());
   ASSERT_EQ(completed.synthetic_span.size(), 1U);
   EXPECT_TRUE(completed.synthetic_span[0].empty());
+}
+
+/// The block with more points of the same stem between two arc lengths, as a later scan adds them.
+std::shared_ptr<SegmentedBlock> scannedAgain(const Scene& scene, const SegmentedBlock& block,
+                                             double begin, double end, std::size_t points) {
+  std::mt19937 random(scene.seed + 1000U);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::normal_distribution<double> noise(0.0, scene.noise);
+  auto again = std::make_shared<SegmentedBlock>(block);
+  for (std::size_t i = 0; i < points; ++i) {
+    const Vector3d error(noise(random), noise(random), noise(random));
+    const double s = begin + (end - begin) * uniform(random);
+    again->cloud.points.push_back(
+        (scene.stem.surfaceAt(2.0 * kPi * uniform(random), s) + error).cast<float>());
+  }
+  again->plants[0].stem.end = static_cast<std::uint32_t>(again->cloud.size());
+  again->plants[0].points = again->plants[0].stem;
+  return again;
+}
+
+/// Farthest distance of a point of `a` from the surface that the points of `b` lie on: of the
+/// quadric through those near it, round the stem's axis.
+double apart(const TrueStem& stem, const std::vector<Vector3f>& a, const std::vector<Vector3f>& b) {
+  constexpr double kNear = 0.007;  // [m]
+  double worst = 0.0;
+  double alone = 0.0;
+  for (const Vector3f& p : a) {
+    const double s = stem.arcLengthOf(p.cast<double>());
+    const Vector3d offset = p.cast<double>() - stem.axisAt(s);
+    const Vector3d out = offset.normalized();
+    const Vector3d side = stem.tangentAt(s).cross(out);
+    Eigen::Matrix<double, 6, 6> squares = Eigen::Matrix<double, 6, 6>::Zero();
+    Eigen::Matrix<double, 6, 1> sums = Eigen::Matrix<double, 6, 1>::Zero();
+    int count = 0;
+    for (const Vector3f& q : b) {
+      const Vector3d way = (q - p).cast<double>() / kNear;
+      if (way.norm() > 1.0) continue;
+      const double x = way.dot(side);
+      const double y = way.dot(stem.tangentAt(s));
+      Eigen::Matrix<double, 6, 1> row;
+      row << 1.0, x, y, x * x, x * y, y * y;
+      squares += row * row.transpose();
+      sums += way.dot(out) * row;
+      ++count;
+    }
+    if (count < 12) {  // at an end
+      ++alone;
+      continue;
+    }
+    worst = std::max(worst, kNear * std::abs(squares.ldlt().solve(sums)[0]));
+  }
+  EXPECT_LT(alone, 0.06 * static_cast<double>(a.size()));
+  return worst;
+}
+
+/// Share of the points of `a` that have moved by less than half of their noise.
+double shareAtRest(const std::vector<Vector3f>& a, const std::vector<Vector3f>& b) {
+  double at_rest = 0.0;
+  for (std::size_t i = 0; i < a.size(); ++i) at_rest += (a[i] - b[i]).norm() < 5e-4F ? 1.0 : 0.0;
+  return at_rest / static_cast<double>(a.size());
+}
+
+TEST(CompletionStem, NewScansSolveOnlyTheRegionsTheyTouch) {
+  CompletionParameters parameters;
+  parameters.points_around = 28;  // enough to compare
+  std::size_t taken_over = 0, regions = 0;
+  for (unsigned seed = 2; seed <= 5; ++seed) {
+    Scene scene;
+    scene.points = 2600;
+    scene.noise = 0.001;
+    scene.gaps = {{0.5, 0.6}};
+    scene.seed = seed;
+    const auto block = makeBlock(scene);
+    const CompletedBlock first = completeBlock(block, parameters);
+    ASSERT_EQ(first.stems.size(), 1U);
+    EXPECT_GE(first.stems[0].regions, 10U);
+    EXPECT_EQ(first.stems[0].regions_solved, first.stems[0].regions);
+
+    const CompletedBlock same = completeBlock(block, parameters, &first);
+    EXPECT_EQ(same.stems[0].regions_solved, 0U);
+    EXPECT_EQ(same.synthetic.points, first.synthetic.points);
+
+    // A few points, all in one place: three regions can reach them.
+    const auto again = scannedAgain(scene, *block, 0.82, 0.85, 12);
+    const CompletedBlock updated = completeBlock(again, parameters, &first);
+    const CompletedBlock scratch = completeBlock(again, parameters);
+    EXPECT_GE(updated.stems[0].regions_solved, 1U);
+    taken_over += updated.stems[0].regions - updated.stems[0].regions_solved;
+    regions += updated.stems[0].regions;
+    std::cout << "seed " << seed << ": " << updated.stems[0].regions_solved << " of "
+              << updated.stems[0].regions << " regions solved again" << std::endl;
+    EXPECT_LT(apart(scene.stem, updated.synthetic.points, scratch.synthetic.points), 1e-4);
+    EXPECT_GT(shareAtRest(updated.stems[0].smoothed, scratch.stems[0].smoothed), 0.98);
+
+    parameters.max_gap = 0.05;  // other parameters: the gap must open
+    const CompletedBlock opened = completeBlock(again, parameters, &updated);
+    const CompletedBlock opened_scratch = completeBlock(again, parameters);
+    EXPECT_LT(apart(scene.stem, opened.synthetic.points, opened_scratch.synthetic.points), 1e-4);
+    parameters.max_gap = CompletionParameters().max_gap;
+  }
+  EXPECT_GE(static_cast<double>(taken_over), 0.6 * static_cast<double>(regions));
+}
+
+TEST(CompletionStem, TakesOverNothingFromAnotherPlant) {
+  Scene scene;
+  const auto block = makeBlock(scene);
+  const CompletedBlock first = completeBlock(block, {});
+  auto renamed = std::make_shared<SegmentedBlock>(*block);
+  renamed->plants[0].id = 8;
+  EXPECT_EQ(completeBlock(renamed, {}, &first).stems[0].regions_solved, first.stems[0].regions);
+}
+
+TEST(CompletionStem, SaysWhyItLeftAStemAlone) {
+  const auto flagsOf = [](const Scene& scene) {
+    return static_cast<int>(completeBlock(makeBlock(scene), {}).stems.at(0).flags);
+  };
+  Scene scene;
+  scene.noise = 0.001;
+  EXPECT_EQ(flagsOf(scene), 0);
+  scene.points = 8;
+  EXPECT_EQ(flagsOf(scene), kCompletionTooFewPoints);
+  scene.points = 40;  // on 1.2 m
+  EXPECT_EQ(flagsOf(scene), kCompletionTooFewPoints);
+  scene.points = 600;
+  scene.gaps = {{0.4, 0.8}};
+  EXPECT_EQ(flagsOf(scene), kCompletionOpenGap);
+  scene.gaps.clear();
+  scene.shadow = {-1.0, 9.0};
+  scene.noise = 0.004;
+  EXPECT_EQ(flagsOf(scene) & kCompletionUncertain, kCompletionUncertain);
+}
+
+TEST(CompletionStem, FillsNothingBetweenTheBranchesOfAFork) {
+  Scene scene;
+  scene.points = 1200;
+  scene.noise = 0.001;
+  auto block = makeBlock(scene);
+  for (std::size_t i = 0; i < block->cloud.size(); ++i) {
+    Vector3f& p = block->cloud.points[i];
+    p.y() += (i % 2 == 0 ? 0.13F : -0.13F) * std::max(p.z() - 0.6F, 0.0F);
+  }
+  const CompletedBlock completed = completeBlock(block, {});
+  EXPECT_EQ(completed.stems[0].flags & kCompletionNoSurface, kCompletionNoSurface);
+  // What is filled in above belongs to one of the branches.
+  std::size_t between = 0;
+  for (const Vector3f& p : completed.synthetic.points) {
+    const Vector3d shift(0.0, 0.13 * std::max(static_cast<double>(p.z()) - 0.6, 0.0), 0.0);
+    const double distance = std::min(scene.stem.distance(p.cast<double>() - shift),
+                                     scene.stem.distance(p.cast<double>() + shift));
+    if (p.z() > 0.8F && distance > 0.004) ++between;  // below, they are nearer than their width
+  }
+  EXPECT_LT(static_cast<double>(between),
+            0.02 * static_cast<double>(completed.synthetic.size()) + 1);
+}
+
+TEST(CompletionStem, FillsNothingWhereTheSensorSawThrough) {
+  Scene scene;
+  scene.gaps = {{0.4, 0.6}};
+  const auto block = makeBlock(scene);
+  const Plant& plant = block->plants[0];
+  std::vector<SightLine> sight;
+  for (int i = 0; i < 8; ++i) {  // beams through the gap, and some past the stem below it
+    const double s = 0.47 + 0.01 * i;
+    const Vector3d middle = scene.stem.axisAt(s);
+    const Vector3d way(0.3, 1.0, 0.1);
+    sight.push_back({(middle - way).cast<float>(), (middle + 0.4 * way).cast<float>()});
+    const Vector3d beside = scene.stem.axisAt(0.2 + 0.01 * i) + Vector3d(0.012, 0.0, 0.0);
+    sight.push_back({(beside - Vector3d(0.0, 1.0, 0.0)).cast<float>(),
+                     (beside + Vector3d(0.0, 1.0, 0.0)).cast<float>()});
+  }
+  const auto filledBetween = [&](const CompletedStem& stem, double begin, double end) {
+    return std::count_if(stem.points.begin(), stem.points.end(), [&](const Vector3f& p) {
+      const double s = scene.stem.arcLengthOf(p.cast<double>());
+      return s > begin && s < end;
+    });
+  };
+  const CompletedStem blind = completeStem(block->cloud, plant.stem, plant.axis, block->ground, {});
+  const CompletedStem seeing =
+      completeStem(block->cloud, plant.stem, plant.axis, block->ground, {}, nullptr, sight);
+  EXPECT_EQ(seeing.solution.flags & kCompletionSeenEmpty, kCompletionSeenEmpty);
+  EXPECT_EQ(blind.solution.flags & kCompletionSeenEmpty, 0);
+  EXPECT_GT(filledBetween(blind, 0.47, 0.54), 100);
+  EXPECT_EQ(filledBetween(seeing, 0.47, 0.54), 0);
+  EXPECT_EQ(filledBetween(seeing, 0.2, 0.3), filledBetween(blind, 0.2, 0.3));
+}
+
+TEST(CompletionStem, SmoothsMeasuredPointsOfThePictureOnly) {
+  Scene scene;
+  scene.points = 2000;
+  scene.noise = 0.003;
+  const auto block = makeBlock(scene);
+  const CompletedBlock completed = completeBlock(block, {});
+  const std::vector<Vector3f>& smoothed = completed.stems[0].smoothed;
+  ASSERT_EQ(smoothed.size(), block->cloud.size());
+  double before = 0.0, after = 0.0;
+  for (std::size_t i = 0; i < smoothed.size(); ++i) {
+    before += std::pow(scene.stem.distance(block->cloud.points[i].cast<double>()), 2);
+    after += std::pow(scene.stem.distance(smoothed[i].cast<double>()), 2);
+  }
+  EXPECT_LT(after, 0.25 * before);
+  CompletionParameters parameters;
+  parameters.smoothing = 0.0;
+  EXPECT_EQ(completeBlock(block, parameters).stems[0].smoothed, block->cloud.points);
 }
 
 /// Odd stems: whatever comes out must be finite, above the soil and within the plant.

@@ -6,11 +6,13 @@
 #include <random>
 #include <vector>
 
+#include "field_phenotyping/completion/bilateral_filter.hpp"
 #include "field_phenotyping/completion/gap_sampling.hpp"
 #include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/stem_frame.hpp"
 #include "field_phenotyping/completion/surface_index.hpp"
 #include "field_phenotyping/completion/surface_prior.hpp"
+#include "field_phenotyping/completion/topology_repair.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -298,6 +300,111 @@ TEST(CompletionGaps, NothingToDoGivesNoGaps) {
   EXPECT_TRUE(findGaps(positions, {0.0, 0.4, {}}, 0.0, shape, kRadius).empty());
   EXPECT_TRUE(findGaps(positions, {0.3, 0.3, {}}, 1e4, shape, kRadius).empty());
   EXPECT_TRUE(findGaps(positions, {0.1, 0.3, {{0.1, 0.3}}}, 1e5, shape, kRadius).empty());
+}
+
+/// A ring of points with a bump, every degree and 1 mm.
+std::vector<FilterPoint> bumpySurface(double shift) {
+  std::vector<FilterPoint> points;
+  for (double s = 0.0; s < 0.03; s += 0.001) {
+    for (double theta = -kPi; theta < kPi; theta += 0.08) {
+      FilterPoint point;
+      point.position = {theta, s};
+      point.deviation = shift;
+      points.push_back(point);
+    }
+  }
+  return points;
+}
+
+TEST(CompletionFilter, DoesNotShrinkAThinCylinder) {
+  const std::vector<FilterPoint> points = bumpySurface(0.0004);
+  for (const double deviation : filterDeviations(points, {0U, 500U, 1200U}, kRadius, {})) {
+    EXPECT_NEAR(deviation, 0.0004, 1e-9);
+  }
+}
+
+TEST(CompletionFilter, EvensOutNoiseAndKeepsAColourEdge) {
+  std::vector<FilterPoint> points = bumpySurface(0.0);
+  std::mt19937 random(5);
+  std::normal_distribution<double> noise(0.0, 0.001);
+  std::vector<std::uint32_t> wanted;
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
+    FilterPoint& point = points[i];
+    const bool upper = point.position.s > 0.015;
+    point.deviation = (upper ? 0.002 : 0.0) + noise(random);
+    point.color = upper ? Eigen::Vector3f(0.1F, 0.8F, 0.1F) : Eigen::Vector3f(0.5F, 0.3F, 0.1F);
+    wanted.push_back(i);
+  }
+  FilterOptions by_color;
+  by_color.attribute = FilterAttribute::kColor;
+  by_color.sigma_attribute = 0.1;
+  const std::vector<double> kept = filterDeviations(points, wanted, kRadius, by_color);
+  const std::vector<double> blurred = filterDeviations(points, wanted, kRadius, {});
+  double error = 0.0, blurred_at_edge = 0.0, kept_at_edge = 0.0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const double truth = points[i].position.s > 0.015 ? 0.002 : 0.0;
+    error += std::pow(kept[i] - truth, 2) / static_cast<double>(points.size());
+    if (std::abs(points[i].position.s - 0.015) > 0.0015) continue;
+    kept_at_edge = std::max(kept_at_edge, std::abs(kept[i] - truth));
+    blurred_at_edge = std::max(blurred_at_edge, std::abs(blurred[i] - truth));
+  }
+  EXPECT_LT(std::sqrt(error), 0.0004);
+  EXPECT_LT(kept_at_edge, 0.5 * blurred_at_edge + 0.0004);
+}
+
+TEST(CompletionRepair, FindsAHoleAndClosesItOnTheSurface) {
+  constexpr double kSpacing = 0.003;
+  const StemShape shape{[](double) { return kRadius; }};
+  const double density = 1.0 / (kSpacing * kSpacing);
+  const auto surface = [](const SurfacePosition& p) {
+    return 0.0006 * std::cos(2.0 * p.theta) + 0.002 * (p.s - 0.2);
+  };
+  std::vector<CompletedPoint> filled;
+  for (const SurfacePosition& p : patternWithHole(kSpacing)) filled.push_back({p, surface(p), 0.0});
+  const std::size_t sound = filled.size();
+  filled.push_back({{kPi, 0.2}, 0.02, 0.0});  // a fold: it has left the stem
+  const FillRange range{0.0, 0.4, {}};
+  const std::vector<GapRegion> defects =
+      findDefects({}, filled, 0.005, range, density, shape, kRadius, 0);
+  EXPECT_EQ(filled.size(), sound);
+  ASSERT_EQ(defects.size(), 1U);
+  const std::vector<CompletedPoint> repaired =
+      repairDefect(defects[0], filled, density, kRadius, {4.0, 1e-6, 0.0, 0.0, 0.0});
+  ASSERT_EQ(repaired.size(), defects[0].cells.size());
+  double worst_at_rim = 0.0;
+  for (const CompletedPoint& point : repaired) {
+    EXPECT_TRUE(std::isfinite(point.deviation));
+    const double from_rim = 0.05 - std::abs(point.position.s - 0.2);
+    if (from_rim > 0.005) continue;
+    worst_at_rim = std::max(worst_at_rim, std::abs(point.deviation - surface(point.position)));
+  }
+  EXPECT_LT(worst_at_rim, 4e-4);  // the surface itself differs by 1.3e-3 there
+  filled.insert(filled.end(), repaired.begin(), repaired.end());
+  EXPECT_TRUE(findDefects({}, filled, 0.005, range, density, shape, kRadius, 0).empty());
+  EXPECT_TRUE(repairDefect(defects[0], {}, density, kRadius, {}).empty());
+}
+
+TEST(CompletionSurface, PriorIsRightWhereNoiseIsAThirdOfTheRadius) {
+  // Half of the circumference seen: nothing but the noise's own effect tells shift from radius.
+  double shift = 0.0, radius = 0.0;
+  constexpr int kSeeds = 12;
+  for (unsigned seed = 1; seed <= kSeeds; ++seed) {
+    std::mt19937 random(seed);
+    std::normal_distribution<double> noise(0.0, 0.0035);
+    std::vector<Vector3d> points;
+    for (const SurfacePosition& p : randomPositions(6000, seed)) {
+      points.emplace_back(kRadius * std::cos(0.5 * p.theta) + noise(random),
+                          kRadius * std::sin(0.5 * p.theta) + noise(random), p.s);
+    }
+    const StemAxis axis({{{0.0F, 0.0F, 0.0F}, 0.012F}, {{0.0F, 0.0F, 1.0F}, 0.012F}});
+    const auto prior = SurfacePrior::fit(points, axis, 0.0);
+    ASSERT_TRUE(prior);
+    EXPECT_NEAR(prior->noise(), 0.0035, 4e-4);
+    shift += prior->frame().roll({0.0, 0.5, 0.0}).x() / kSeeds;
+    radius += prior->meanRadius() / kSeeds;
+  }
+  EXPECT_NEAR(shift, 0.0, 4e-4);
+  EXPECT_NEAR(radius, kRadius, 3e-4);
 }
 
 }  // namespace
