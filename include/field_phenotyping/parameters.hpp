@@ -192,7 +192,7 @@ struct CompletionParameters {
   int max_centers = 200;
   double max_gap = 0.25;
   double density = 0.0;
-  int points_around = 32;
+  int points_around = 34;
   double max_stddev = 0.0015;
   double smoothing = 0.3;
   int min_points = 12;

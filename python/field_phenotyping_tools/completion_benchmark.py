@@ -154,10 +154,14 @@ def gaps(bench, folder, stems=12, points=600):
     return figures
 
 
-def rivals(bench, _folder, stems=12, points=600):
-    """Table 6 of the paper: four other methods on the same stems, ranks in brackets."""
+def rivals(bench, _folder, stems=6, points=600, damages=()):
+    """Table 6 of the paper: four other methods on the same stems, ranks in brackets.
+
+    damages: kinds of gaps; all where empty.
+    """
     bench.progress('rivals')
-    rows = complete(bench, '--stems', stems, '--points', points, '--rivals')
+    only = [word for damage in damages for word in ('--damage', damage)]
+    rows = complete(bench, '--stems', stems, '--points', points, '--rivals', *only)
     return _print_methods(
         '{} simulated stems of {} points, all gaps'.format(stems, points), rows, paper=True
     )

@@ -15,7 +15,7 @@ namespace field_phenotyping {
 
 /// Why a stem, or part of it, was left as it was measured. Bits.
 enum CompletionFlag : std::uint8_t {
-  kCompletionTooFewPoints = 1U,  ///< fewer than min_points, or than 50 a metre
+  kCompletionTooFewPoints = 1U,  ///< fewer than min_points, or than 100 a metre
   kCompletionNoSurface = 2U,  ///< the points, or those of a stretch, lie on no one surface: a fork
   kCompletionOpenGap = 4U,    ///< a gap is longer than max_gap
   kCompletionUncertain = 8U,  ///< a part is known less well than max_stddev: one side only
