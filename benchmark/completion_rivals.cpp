@@ -228,7 +228,14 @@ FilledStem fitLocally(const GappyStem& stem, double density, const MlsSettings& 
     tree.setInputCloud(input);
     std::vector<int> index;
     std::vector<float> squared;
-    for (const pcl::PointXYZ& p : thin(output, spacing)->points) {
+    Cloud::Ptr kept(new Cloud);
+    for (const pcl::PointXYZ& p : output->points) {
+      // Ill-conditioned polynomials throw points far away: those nobody would keep.
+      if (!std::isfinite(p.x) || !std::isfinite(p.y) || !std::isfinite(p.z)) continue;
+      tree.nearestKSearch(p, 1, index, squared);
+      if (squared[0] <= static_cast<float>(4.0 * reach * reach)) kept->push_back(p);
+    }
+    for (const pcl::PointXYZ& p : thin(kept, spacing)->points) {
       tree.nearestKSearch(p, 1, index, squared);
       const bool is_new =
           squared[0] > static_cast<float>(kCoverage * kCoverage * spacing * spacing);
@@ -327,7 +334,7 @@ std::vector<Rival> rivalMethods() {
                         return interpolateNearest(stem, density, k);
                       }});
   }
-  for (const double share : {1.0, 2.0, 3.0}) {
+  for (const double share : {2.0, 4.0, 6.0}) {
     for (const int ball : {2, 4}) {
       rivals.push_back({"VGC",
                         "voxels of " + std::to_string(std::lround(share)) + " spacings, ball of " +

@@ -169,7 +169,7 @@ def rivals(bench, _folder, stems=6, points=600, damages=()):
 
 def best_settings(rows):
     """{method: (settings, figures)}: of each method the settings with the highest score, which is
-    PC + SM + RD less a third for every goal's worth of RMSE."""
+    PC + SM + RD less a tenth for every goal's worth of RMSE."""
     groups = collections.OrderedDict()
     for row in rows:
         if row['method'] != 'before':
@@ -178,7 +178,7 @@ def best_settings(rows):
     for (method, settings), group in groups.items():
         figures = summarise(group)
         score = sum(figures[name] for name, _ in _QUALITY)
-        score -= figures.get('rmse', 1.0) / (3.0 * GOALS['rmse'])
+        score -= figures.get('rmse', 1.0) / (10.0 * GOALS['rmse'])
         if method not in best or score > best[method][2]:
             best[method] = (settings, figures, score)
     return {method: (settings, figures) for method, (settings, figures, _) in best.items()}
