@@ -196,8 +196,11 @@ class RegionSolver {
         nearest.count > 0 ? std::exp(-2.0 * nearest.squared_distance[0] / (width * width)) : 0.0;
     const double amplitude = model_.surface.amplitude;
     const double bias = model_.prior.noiseBias(place.s);
+    // Eq 20 leaves out a share of what deviates from the prior, wherever it was measured.
+    const double left_out = (1.0 - model_.prior_weight) / std::max(model_.prior_weight, 0.1);
     node.variance = model_.prior.variance(place.theta, place.s) +
-                    amplitude * amplitude * (1.0 - known) + 0.25 * bias * bias;
+                    amplitude * amplitude * (1.0 - known + left_out * left_out) +
+                    0.25 * bias * bias;
     if (model_.has_colors) {
       node.rgb = blendColors(measured_, index_of_measured_.nearest<kColorNeighbors>(place));
     }
