@@ -87,7 +87,7 @@ class BlockStage {
   }
 
   static std::size_t history(const ros::NodeHandle& pnh) {
-    return static_cast<std::size_t>(std::max(pnh.param("history", 64), 0));
+    return static_cast<std::size_t>(std::max(pnh.param("history", 16), 0));
   }
 
   ros::NodeHandle& privateHandle() { return pnh_; }
