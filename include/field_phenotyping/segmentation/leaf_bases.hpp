@@ -27,9 +27,10 @@ class LeafBases {
 
   /// Finds them: sheets of points that rise from the surface and leave it at one place, with the
   /// surface hidden behind them. Greedy by evidence.
+  /// Deterministic; thread-safe.
   /// @param points  local frame [m]
-  /// @param members indices of the points within about `kReach` of the surface, leaf points
-  /// included Deterministic; thread-safe.
+  /// @param members indices of the points within about `kReach` of the surface, those of leaves
+  /// included
   LeafBases(const std::vector<Eigen::Vector3f>& points, const std::vector<std::uint32_t>& members,
             const Midline& midline);
 
