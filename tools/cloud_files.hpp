@@ -24,8 +24,9 @@ CloudFile readCloudFile(const std::string& path);
 void writeLabels(const std::string& path, const CloudFile& input,
                  const std::vector<PointLabel>& labels);
 
-/// Writes `x y z rgb plant_id synthetic`: all plants' stem points, measured ones smoothed (Eq 25) in
-/// the plant's colour, synthetic ones in red (Fig. 14). Coordinates are FLOAT64 when the input's are.
+/// Writes `x y z rgb plant_id synthetic`: all plants' stem points, measured ones smoothed (Eq 25)
+/// in the plant's colour, synthetic ones in red (Fig. 14). Coordinates are FLOAT64 when the input's
+/// are.
 void writeCompleted(const std::string& path, const CloudFile& input, const PipelineResult& result);
 
 }  // namespace field_phenotyping

@@ -218,16 +218,17 @@ struct CompletionParameters {
       p.max_centers, 10, 2000);
     v(ParameterInfo{"max_gap", "m", "gaps along the stem longer than this stay open"}, p.max_gap,
       0.0, 2.0);
+    v(ParameterInfo{"density", "1/m^2",
+                    "surface density that gaps are filled to (N0 of Eq 22); 0: the stem's own "
+                    "median, but at "
+                    "least points_around"},
+      p.density, 0.0, 1e7);
     v(
         ParameterInfo{
-            "density", "1/m^2",
-            "surface density that gaps are filled to (N0 of Eq 22); 0: the stem's own median, but at "
-            "least points_around"},
-        p.density, 0.0, 1e7);
-    v(ParameterInfo{"points_around", "",
-                    "points round the stem that gaps are filled to at least, as far apart along it; "
-                    "0: no more than density says"},
-      p.points_around, 0, 200);
+            "points_around", "",
+            "points round the stem that gaps are filled to at least, as far apart along it; "
+            "0: no more than density says"},
+        p.points_around, 0, 200);
     v(ParameterInfo{"max_stddev", "m",
                     "surface that is known less well than this stays open, as where a stem is seen "
                     "from one side only"},

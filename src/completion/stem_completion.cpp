@@ -19,12 +19,12 @@ namespace {
 
 constexpr double kTwoPi = 6.28318530717958647692;
 constexpr double kMinRobustWeight = 0.1;
-constexpr double kMaxPoints = 40000.0;       // made up per stem, whatever density is asked for
-constexpr double kMaxDensity = 1e6;          // [1/m^2] finer than any sensor
+constexpr double kMaxPoints = 40000.0;        // made up per stem, whatever density is asked for
+constexpr double kMaxDensity = 1e6;           // [1/m^2] finer than any sensor
 constexpr double kMinPointsPerMetre = 100.0;  // six for each knot of the coarse model: with fewer
-                                             // it cannot tell noise from shape
-constexpr double kSoilStep = 0.005;          // [m]
-constexpr double kSameModel = 5e-5;          // [m] half of what a region taken over may be off
+                                              // it cannot tell noise from shape
+constexpr double kSoilStep = 0.005;           // [m]
+constexpr double kSameModel = 5e-5;           // [m] half of what a region taken over may be off
 constexpr double kLevel = 0.15;  // of a settings' logarithm: what follows from all points of a
                                  // stem moves in such steps, so that a few more change nothing
 

@@ -59,9 +59,9 @@ using ProgressCallback = std::function<void(const char* step, double share)>;
 /// @brief Grows the field and drives the LiDAR through it.
 ///
 /// Deterministic in `settings`, whatever the number of threads.
-/// With `target_points` the rover slows down where needed for 4 % more points than asked for, by the
-/// share of pulses that return, counted on a sparse sample; the surplus is removed at random, as a
-/// front end does that hands on a thinned map.
+/// With `target_points` the rover slows down where needed for 4 % more points than asked for, by
+/// the share of pulses that return, counted on a sparse sample; the surplus is removed at random,
+/// as a front end does that hands on a thinned map.
 /// @throws std::invalid_argument On a setting out of its range.
 /// @throws std::runtime_error When the sensor sees nothing at all, or `target_points` are far too
 /// many for the field.

@@ -16,10 +16,10 @@ namespace field_phenotyping {
 /// that it continues, with the fewest and straightest gaps and through the best fitting pieces.
 /// What fits is learnt from the block: leaves point at their stem, rise from it, flatten and droop.
 /// A piece counts by how much worse it fits one plant than the one that it fits best.
-/// Then every plant in turn takes the pieces that make it and all links between pieces of two plants
-/// cost least (alpha expansion: Boykov, Veksler and Zabih, 2001). What carries on a stem beyond its
-/// end is given to its plant before (see followStemsUp()).
-/// What is no piece follows along shortest paths over the cloud.
+/// Then every plant in turn takes the pieces that make it and all links between pieces of two
+/// plants cost least (alpha expansion: Boykov, Veksler and Zabih, 2001). What carries on a stem
+/// beyond its end is given to its plant before (see followStemsUp()). What is no piece follows
+/// along shortest paths over the cloud.
 ///
 /// Pure function; time grows with the number of points. All lengths in metres, in the local frame
 /// of the block's cloud.
