@@ -74,7 +74,7 @@ class BlockStage {
       if (parameters_changed_.exchange(false)) worker_->reworkAll();
       guarded(idle);
     };
-    worker_ = std::make_unique<BlockWorker<Input>>(history(pnh_), std::move(calls));
+    worker_ = std::make_unique<BlockWorker<Input>>(historyOf(pnh_), std::move(calls));
     flush_ = pnh_.advertiseService("flush", &BlockStage::flush, this);
     input_ = pnh_.subscribe("input", kChainQueue, &BlockStage::receive, this);
   }
@@ -84,10 +84,6 @@ class BlockStage {
     input_.shutdown();
     flush_.shutdown();
     worker_.reset();
-  }
-
-  static std::size_t history(const ros::NodeHandle& pnh) {
-    return static_cast<std::size_t>(std::max(pnh.param("history", 16), 0));
   }
 
   ros::NodeHandle& privateHandle() { return pnh_; }

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <ros/ros.h>
 #include <ros/time.h>
 
 #include <algorithm>
@@ -26,6 +27,11 @@ inline const BlockHeader& headerOf(const SegmentedBlock& block) {
 }
 inline const BlockHeader& headerOf(const CompletedBlock& block) {
   return block.segmented->header;
+}
+
+/// How many blocks a stage keeps for display and for working again: its parameter `history`.
+inline std::size_t historyOf(const ros::NodeHandle& pnh) {
+  return static_cast<std::size_t>(std::max(pnh.param("history", 16), 0));
 }
 
 /// The newest revision of each of the last `capacity` blocks. Not thread-safe.

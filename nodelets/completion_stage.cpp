@@ -8,7 +8,7 @@ namespace field_phenotyping {
 
 CompletionStage::CompletionStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
     : stage_(nh, pnh, name),
-      done_(Stage::history(pnh)),
+      done_(historyOf(pnh)),
       completed_(stage_.privateHandle(), "completed", addSynthetic) {
   stage_.start([this](const auto& block, const auto& p) { return work(block, p); },
                [this] { completed_.update(done_); });

@@ -50,7 +50,7 @@ PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
       output_(pnh_.advertise<Block>("output", kChainQueue)),
       gate_(pnh_, output_),
       preprocessor_(parameters_.current(), target_frame_),
-      done_(static_cast<std::size_t>(std::max(pnh_.param("history", 16), 0))),
+      done_(historyOf(pnh_)),
       ground_(pnh_, "ground", addGround),
       cloud_(pnh_, "cloud", addAboveGround) {
   checkDevice(pnh_, health_);

@@ -19,7 +19,7 @@ constexpr double kSparse = 200.0;
 SegmentationStage::SegmentationStage(ros::NodeHandle nh, ros::NodeHandle pnh,
                                      const std::string& name)
     : stage_(nh, pnh, name),
-      done_(Stage::history(pnh)),
+      done_(historyOf(pnh)),
       stems_(stage_.privateHandle(), "stems", addStems),
       plants_(stage_.privateHandle(), "plants", addPlants) {
   stage_.start([this](const auto& block, const auto& p) { return work(*block, p); },

@@ -761,6 +761,26 @@ TEST(StemTop, WhereTheWhorlOpens) {
   }
 }
 
+TEST(StemTop, WhereLeavesBesideTheAxisExplainWhatIsOnIt) {
+  // Above the stem a few points of leaves are left on the axis, and many stand close beside it.
+  for (const unsigned seed : {19U, 20U, 21U}) {
+    Points points = surfaceOf(verticalAxis(0.7F, 0.01F), 600U, 0.002, 2.0 * M_PI, seed);
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<float> unit(0.0F, 1.0F);
+    for (int k = 0; k < 900; ++k) {
+      const float angle = 6.2832F * unit(random);
+      const float distance = k % 12 == 0 ? 0.01F * unit(random) : 0.015F + 0.01F * unit(random);
+      points.emplace_back(distance * std::cos(angle), distance * std::sin(angle),
+                          0.7F + 0.4F * unit(random));
+    }
+    Midline midline;
+    midline.axis = verticalAxis(1.1F, 0.01F);
+    midline.spread = 0.002F;
+    EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.7F, 0.08F) << "seed " << seed;
+    EXPECT_GT(findStemTop(points, allOf(points), midline, {}, 0.0), 0.9F) << "seed " << seed;
+  }
+}
+
 TEST(StemTop, LeavesAllRoundAnOpenWhorlAreNoTassel) {
   // The last leaves come out of the stem all round above a bare stretch, as a tassel's branches do.
   for (const unsigned seed : {21U, 22U, 23U}) {

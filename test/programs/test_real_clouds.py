@@ -78,10 +78,10 @@ class RealClouds(ProgramTest):
         self.assert_bare_stem('maizefield3d_78551S', 0.90, with_ears=0.59)
 
     def test_label3dmaize_v_12_1(self):
-        self.assert_one_plant('label3dmaize_v-12-1', stem_f1=0.6)
+        self.assert_one_plant('label3dmaize_v-12-1', stem_f1=0.8)
 
     def test_label3dmaize_v_9_3(self):
-        self.assert_one_plant('label3dmaize_v-9-3', stem_f1=0.6)
+        self.assert_one_plant('label3dmaize_v-9-3', stem_f1=0.8)
 
     def test_mospc_mid_1(self):
         self.assert_one_plant('mospc_mid_1')
