@@ -167,6 +167,7 @@ struct Serializer<field_phenotyping::BlockHeader>
   template <class Stream>
   static void write(Stream& stream, const field_phenotyping::BlockHeader& header) {
     stream.next(field_phenotyping::messageHeader(header));
+    stream.next(ros::Time().fromNSec(header.began_ns));
     rest(stream, header);
   }
   template <class Stream>
@@ -175,6 +176,9 @@ struct Serializer<field_phenotyping::BlockHeader>
     stream.next(message);
     header.stamp_ns = message.stamp.toNSec();
     header.frame_id = message.frame_id;
+    ros::Time began;
+    stream.next(began);
+    header.began_ns = began.toNSec();
     rest(stream, header);
   }
 

@@ -3,8 +3,8 @@
 namespace field_phenotyping {
 
 const std::set<std::string>& commonParameterNames() {
-  static const std::set<std::string> names = {"device", "diagnostic_period", "history",
-                                              "wait_for_subscriber"};
+  static const std::set<std::string> names = {
+      "device", "diagnostic_period", "history", "journal", "new_journal", "wait_for_subscriber"};
   return names;
 }
 

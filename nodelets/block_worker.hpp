@@ -63,8 +63,8 @@ class BlockHistory {
 };
 
 /// Works blocks one after another on a thread of its own, so that callbacks return at once. A newer
-/// revision takes the place of one that still waits: no block is lost, none is worked in vain.
-/// Thread-safe.
+/// revision takes the place of one of the same pass that still waits: no block is lost, none is
+/// worked in vain. Thread-safe.
 template <class T>
 class BlockWorker {
  public:
@@ -131,9 +131,10 @@ class BlockWorker {
 
  private:
   bool enqueue(const Pointer& block) {
-    const BlockIndex index = headerOf(*block).index;
+    const BlockHeader& header = headerOf(*block);
     for (Task& task : waiting_) {
-      if (!(headerOf(*task.block).index == index)) continue;
+      const BlockHeader& other = headerOf(*task.block);
+      if (!(other.index == header.index) || other.began_ns != header.began_ns) continue;
       task.block = block;
       return true;
     }

@@ -243,6 +243,7 @@ PlantPhenotype toMessage(const Phenotype& plant) {
   PlantPhenotype message;
   message.id = plant.id;
   message.revision = plant.revision;
+  message.passes = plant.passes;
   message.final = plant.final;
   message.base = toPoint(plant.base);
   message.axis.x = plant.axis.x();
@@ -282,6 +283,7 @@ Phenotype fromMessage(const PlantPhenotype& message) {
   Phenotype plant;
   plant.id = message.id;
   plant.revision = message.revision;
+  plant.passes = message.passes;
   plant.final = message.final != 0U;
   plant.base = {message.base.x, message.base.y, message.base.z};
   plant.axis = {message.axis.x, message.axis.y, message.axis.z};

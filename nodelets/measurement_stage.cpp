@@ -8,7 +8,7 @@
 namespace field_phenotyping {
 
 MeasurementStage::MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
-    : stage_(nh, pnh, name) {
+    : stage_(nh, pnh, name), plants_(stage_.privateHandle(), stage_.health()) {
   markers_ = stage_.privateHandle().advertise<visualization_msgs::MarkerArray>(
       "markers", 10, [this](const ros::SingleSubscriberPublisher&) { new_listener_ = true; });
   stage_.start([this](const auto& block, const auto& p) { return work(*block, p); },
@@ -23,23 +23,23 @@ MeasurementStage::~MeasurementStage() {
 boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
     const CompletedBlock& block, const MeasurementParameters& parameters) {
   const BlockHeader& header = headerOf(block);
-  const std::vector<Phenotype> plants = measureBlock(block, parameters);
-  const PlantTable::Change change = table_.update(header.index, header.revision, plants);
+  const PlantTable::Change change = plants_.update(header, measureBlock(block, parameters));
+  const std::vector<Phenotype> plants = plants_.table().plantsOf(header.index);
   header_ = messageHeader(header);
   if (change.accepted) {
     removed_.insert(removed_.end(), change.removed.begin(), change.removed.end());
     fresh_.insert(fresh_.end(), plants.begin(), plants.end());
   }
-  stage_.health().show("plants known", static_cast<double>(table_.size()));
+  stage_.health().show("plants known", static_cast<double>(plants_.table().size()));
   stage_.health().show("plants in the last block", static_cast<double>(plants.size()));
   return boost::make_shared<PlantPhenotypeArray>(toMessage(plants, header));
 }
 
 void MeasurementStage::showMarkers() {
-  if (markers_.getNumSubscribers() > 0U && table_.size() + removed_.size() > 0U) {
+  if (markers_.getNumSubscribers() > 0U && plants_.table().size() + removed_.size() > 0U) {
     if (new_listener_.exchange(false)) {
       markers_.publish(noMarkers(header_));
-      markers_.publish(plantMarkers(table_.plants(), header_));
+      markers_.publish(plantMarkers(plants_.table().plants(), header_));
     } else {
       if (!removed_.empty()) markers_.publish(removedMarkers(removed_, header_));
       if (!fresh_.empty()) markers_.publish(plantMarkers(fresh_, header_));

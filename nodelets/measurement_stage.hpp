@@ -9,12 +9,13 @@
 #include <vector>
 
 #include "block_stage.hpp"
+#include "durable_table.hpp"
 #include "field_phenotyping/parameters.hpp"
-#include "plant_table.hpp"
 
 namespace field_phenotyping {
 
-/// Last stage as a node: completed blocks in, the traits of their plants out.
+/// Last stage as a node: completed blocks in, the traits of their plants out, fused over all passes
+/// and kept in a journal.
 class MeasurementStage {
  public:
   MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
@@ -29,7 +30,7 @@ class MeasurementStage {
   void showMarkers();
 
   Stage stage_;
-  PlantTable table_;
+  DurableTable plants_;
   std_msgs::Header header_;                // of the last block
   std::vector<std::int32_t> removed_;      // plants whose markers are to go
   std::vector<Phenotype> fresh_;           // plants whose markers are to change

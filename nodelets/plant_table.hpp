@@ -2,14 +2,33 @@
 
 #include <cstdint>
 #include <map>
+#include <set>
+#include <utility>
 #include <vector>
 
 #include "field_phenotyping/measurement/phenotype.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
+#include "field_phenotyping/segmentation/plant_registry.hpp"
 
 namespace field_phenotyping {
 
-/// What is believed of all plants seen so far, one entry an id. Not thread-safe.
+/// Which revision of a block, seen in which pass, says something about its plants.
+struct ReportSource {
+  BlockIndex block;
+  std::uint64_t began_ns = 0U;  ///< first scan of the pass that reached the block
+  std::uint64_t stamp_ns = 0U;  ///< newest scan
+  std::uint32_t revision = 0U;
+
+  ReportSource() = default;
+  explicit ReportSource(const BlockHeader& header)
+      : block(header.index),
+        began_ns(header.began_ns),
+        stamp_ns(header.stamp_ns),
+        revision(header.revision) {}
+};
+
+/// What is believed of all plants seen so far, one entry an id. What several passes say of a plant
+/// is fused (fusePasses()); within a pass the newest revision counts. Not thread-safe.
 class PlantTable {
  public:
   struct Change {
@@ -17,27 +36,42 @@ class PlantTable {
     std::vector<std::int32_t> removed;  ///< ids that are no longer believed in
   };
 
-  /// Replaces what earlier revisions of a block said about its plants. An older revision than the
-  /// one known says nothing new (a bag that starts again must not undo what was measured).
-  Change update(const BlockIndex& block, std::uint32_t revision,
-                const std::vector<Phenotype>& plants);
+  /// Replaces what earlier revisions of the block said in the same pass. An older revision than the
+  /// one known says nothing new (a bag that starts again must not undo what was measured). A plant
+  /// that another pass has found is believed in even where this one does not see it.
+  Change update(const ReportSource& source, const std::vector<Phenotype>& plants);
 
   /// All plants, ordered by id.
   std::vector<Phenotype> plants() const;
+  /// Those that the block was the last to report, ordered by id.
+  std::vector<Phenotype> plantsOf(const BlockIndex& block) const;
+  /// For PlantRegistry::restore().
+  std::vector<KnownPlant> known() const;
   std::size_t size() const { return plants_.size(); }
 
  private:
-  struct Entry {
+  struct Record {
+    ReportSource source;
     Phenotype plant;
+  };
+  struct Entry {
+    std::vector<Record> passes;  ///< oldest first; no two overlap in time
+    Phenotype fused;
     BlockIndex block;  ///< that reported it last: a plant near a border may change sides
   };
   struct Known {
+    std::uint64_t stamp_ns = 0U;
     std::uint32_t revision = 0U;
     std::vector<std::int32_t> ids;
   };
 
+  void put(const ReportSource& source, const Phenotype& plant);
+  static void fuseAgain(Entry& entry);
+  bool takeBack(const ReportSource& source, std::int32_t id);
+
   std::map<std::int32_t, Entry> plants_;
-  std::map<BlockIndex, Known> blocks_;
+  std::map<BlockIndex, std::set<std::int32_t>> by_block_;
+  std::map<std::pair<BlockIndex, std::uint64_t>, Known> reports_;  // newest of each pass
 };
 
 }  // namespace field_phenotyping

@@ -22,6 +22,11 @@ const ros::Duration kTfMemory(60.0);
 // Coarser coordinates than this spoil a stem's diameter [m].
 constexpr double kCoarse = 0.001;
 constexpr std::chrono::seconds kFlushLimit(120);
+// A sensor that is so far from where it was heading has not moved, the map has: what a rover may
+// stray by within a scan's time, and accelerate at.
+constexpr double kMapJump = 0.04;      // [m]
+constexpr double kAcceleration = 1.0;  // [m/s^2]
+constexpr double kLongestStep = 0.5;   // [s] between scans, beyond which nothing can be said
 
 /// tf2 knows no leading slash, old drivers still write it.
 std::string withoutSlash(const std::string& frame) {
@@ -196,6 +201,7 @@ void PreprocessingStage::place(const sensor_msgs::PointCloud2ConstPtr& message,
     registered_ = !registered_;
     preprocessor_.setParameters(effectiveParameters());
   }
+  noticeMapJump(message->header.stamp, T_target_sensor);
   const ScanReport report = preprocessor_.addScan(scan, T_target_sensor);
   ++scans_added_;
   only_scan_ = scans_added_ == 1U ? message : nullptr;
@@ -237,12 +243,46 @@ void PreprocessingStage::noticeTimeJump(const ros::Time& stamp) {
                                      " s (a bag that starts again?): the open blocks are given up, "
                                      "measured plants are kept");
     preprocessor_.reset();
+    fixes_.clear();
     scans_added_ = 0U;
     revision_base_ = 0U;
     newest_revision_ = 0U;
     newest_stamp_ = stamp;
   }
   newest_stamp_ = std::max(newest_stamp_, stamp);
+}
+
+/// When the SLAM moves its map, scans from before and after do not fit together: two half stems a
+/// few centimetres apart measure as one thick one. What was seen so far is handed on as it is, and
+/// the same plants are measured anew, as in another pass.
+void PreprocessingStage::noticeMapJump(const ros::Time& stamp,
+                                       const Eigen::Isometry3d& T_target_sensor) {
+  if (registered_ || stamp.isZero()) return;
+  const Fix now{stamp, T_target_sensor.translation()};
+  bool jumped = false;
+  double off = 0.0;
+  if (fixes_.size() == 2U) {
+    const double before = (fixes_[1].stamp - fixes_[0].stamp).toSec();
+    const double step = (now.stamp - fixes_[1].stamp).toSec();
+    if (before > 0.0 && before < kLongestStep && step > 0.0 && step < kLongestStep) {
+      const Eigen::Vector3d velocity = (fixes_[1].position - fixes_[0].position) / before;
+      off = (now.position - fixes_[1].position - step * velocity).norm();
+      const double longest = std::max(before, step);
+      jumped = off > kMapJump + kAcceleration * longest * longest;
+    }
+    fixes_.pop_front();
+  }
+  if (jumped) fixes_.clear();
+  fixes_.push_back(now);
+  if (!jumped) return;
+  health_.count("map jumps");
+  std::ostringstream text;
+  text << "the sensor is " << off << " m from where it was heading: the SLAM has moved the map. "
+       << "What was seen so far is measured by itself, and fused with what is seen from now on";
+  health_.trouble("map jump", text.str());
+  while (handOnBlocks(true)) {
+  }
+  preprocessor_.reset();
 }
 
 void PreprocessingStage::applyParameters() {

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <sstream>
 
+#include "durable_table.hpp"
 #include "field_phenotyping/segmentation/segmentation.hpp"
 
 namespace field_phenotyping {
@@ -22,6 +23,7 @@ SegmentationStage::SegmentationStage(ros::NodeHandle nh, ros::NodeHandle pnh,
       done_(historyOf(pnh)),
       stems_(stage_.privateHandle(), "stems", addStems),
       plants_(stage_.privateHandle(), "plants", addPlants) {
+  restorePlants(stage_.privateHandle(), stage_.health(), registry_);
   stage_.start([this](const auto& block, const auto& p) { return work(*block, p); },
                [this] {
                  stems_.update(done_);
@@ -36,7 +38,8 @@ SegmentationStage::~SegmentationStage() {
 boost::shared_ptr<const SegmentedBlock> SegmentationStage::work(
     const Block& block, const SegmentationParameters& parameters) {
   const auto segmented = boost::make_shared<SegmentedBlock>(segmentBlock(block, parameters));
-  registry_.identify(*segmented);
+  const PlantRegistry::Outcome outcome = registry_.identify(*segmented);
+  stage_.health().show("map shift since the last pass [m]", outcome.shift.norm());
   noteOutcome(block, *segmented, parameters);
   done_.add(segmented);
   stems_.changed();

@@ -46,6 +46,7 @@ void visitColumns(const Phenotype& p, Visitor&& visit) {
   visit("segmentation_quality", static_cast<double>(p.segmentation_quality));
   visit("revision", p.revision);
   visit("final", p.final);
+  visit("passes", p.passes);
 }
 
 /// A plant as growth.csv has it.

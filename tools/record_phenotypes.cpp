@@ -1,43 +1,43 @@
-// Keeps the newest values of every plant that the Measurement nodelet reports and writes them as
-// plants.csv and plants.geojson, whenever they change and at the end.
-#include <field_phenotyping/PlantPhenotypeArray.h>
+// Writes what the Measurement nodelet has put into its journal as plants.csv and plants.geojson,
+// when that has changed, when asked and at the end.
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <rosgraph_msgs/Clock.h>
 #include <std_srvs/Trigger.h>
 
-#include <atomic>
 #include <exception>
 #include <filesystem>
 #include <iostream>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
-#include "conversions.hpp"
 #include "phenotype_files.hpp"
+#include "phenotype_journal.hpp"
 #include "plant_table.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 constexpr const char* kUsage =
-    R"(Usage: rosrun field_phenotyping record_phenotypes [_output_dir:=DIR] [~input:=TOPIC]
+    R"(Usage: rosrun field_phenotyping record_phenotypes _output_dir:=DIR [_journal:=FILE]
 
-Keeps the newest values of every plant and writes DIR/plants.csv and DIR/plants.geojson whenever
-they change (at most once a second) and at the end. Metres, radians, map frame.
+Writes what the journal of the measurement holds as DIR/plants.csv and DIR/plants.geojson, whenever
+it has changed (at most once a second), when asked, and at the end. Metres, radians, map frame.
 
-Subscribes
-  ~input  field_phenotyping/PlantPhenotypeArray
+Services
+  ~export  std_srvs/Trigger: writes the files now
 Parameters
-  ~output_dir      where the files go; made if need be; empty: nothing is written   [""]
+  ~output_dir      where the files go; made if need be
+  ~journal         SQLite file that the measurement writes  [DIR/journal.sqlite]
   ~end_with_clock  end once /clock has stopped, as it does when a bag is over       [false]
   ~clock_timeout   /clock counts as stopped after this long [s of wall time]        [3.0]
   ~flush_services  called in this order before the end, so that nothing measured
                    is left behind: the ~flush of each stage                         [[]]
 )";
 
-/// Writes no more often than this.
-const ros::WallDuration kWriteInterval(1.0);
+/// Looks into the journal this often.
+const ros::WallDuration kInterval(1.0);
 /// Tells how far it is no more often than this.
 const ros::WallDuration kTellInterval(5.0);
 
@@ -48,12 +48,14 @@ class PhenotypeRecorder {
         end_with_clock_(pnh.param("end_with_clock", false)),
         clock_timeout_(pnh.param("clock_timeout", 3.0)) {
     pnh.getParam("flush_services", flush_services_);
-    if (!directory_.empty()) {
-      directory_ = std::filesystem::absolute(directory_);
-      std::filesystem::create_directories(directory_);
-      write();
+    if (directory_.empty()) {
+      throw std::runtime_error("where to? Give a folder as _output_dir:=DIR");
     }
-    input_ = pnh.subscribe("input", 200, &PhenotypeRecorder::receive, this);
+    directory_ = std::filesystem::absolute(directory_);
+    journal_ = pnh.param<std::string>("journal", directory_ / "journal.sqlite");
+    std::filesystem::create_directories(directory_);
+    write();
+    export_ = pnh.advertiseService("export", &PhenotypeRecorder::exportNow, this);
     if (end_with_clock_) clock_ = nh.subscribe("/clock", 1, &PhenotypeRecorder::noteClock, this);
   }
 
@@ -62,26 +64,21 @@ class PhenotypeRecorder {
   bool run() {
     while (ros::ok() && !clockHasStopped()) {
       ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
-      if (changed_ && ros::WallTime::now() - written_ > kWriteInterval) write();
+      if (ros::WallTime::now() - looked_ > kInterval && readJournal()) write();
     }
     if (ros::ok()) flushStages();
-    if (changed_) write();
-    if (!directory_.empty()) {
-      std::cout << table_.size() << " plants in " << (directory_ / "plants.csv").string()
-                << std::endl;
-    }
+    if (readJournal()) write();
+    std::cout << table_.size() << " plants in " << (directory_ / "plants.csv").string()
+              << std::endl;
     return all_written_;
   }
 
  private:
-  void receive(const PlantPhenotypeArrayConstPtr& message) {
-    frame_id_ = message->header.frame_id;
-    table_.update({message->block_x, message->block_y}, message->revision, fromMessage(*message));
-    changed_ = true;
-    const ros::WallTime now = ros::WallTime::now();
-    if (now - told_ < kTellInterval) return;
-    told_ = now;
-    ROS_INFO_STREAM(table_.size() << " plants so far");
+  bool exportNow(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
+    readJournal();
+    response.success = write();
+    response.message = std::to_string(table_.size()) + " plants in " + directory_.string();
+    return true;
   }
 
   void noteClock(const rosgraph_msgs::ClockConstPtr&) { last_clock_ = ros::WallTime::now(); }
@@ -91,7 +88,7 @@ class PhenotypeRecorder {
            ros::WallTime::now() - last_clock_ > clock_timeout_;
   }
 
-  /// Stage by stage down the chain, then waits for what the last one has still sent.
+  /// Stage by stage down the chain.
   void flushStages() {
     for (const std::string& service : flush_services_) {
       std_srvs::Trigger trigger;
@@ -101,38 +98,63 @@ class PhenotypeRecorder {
         all_written_ = false;
       }
     }
-    const ros::WallTime end = ros::WallTime::now() + kWriteInterval;
-    while (ros::ok() && ros::WallTime::now() < end) {
-      ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
-    }
   }
 
-  void write() {
-    changed_ = false;
-    written_ = ros::WallTime::now();
-    if (directory_.empty()) return;
+  /// @return whether there was something new in it
+  bool readJournal() {
+    looked_ = ros::WallTime::now();
+    if (!std::filesystem::exists(journal_)) return false;
+    try {
+      // Opened anew each time: the measurement may have begun another one.
+      const PhenotypeJournal journal(journal_, PhenotypeJournal::Access::kRead);
+      const std::string identity = journal.identity();
+      if (identity != identity_) {
+        table_ = PlantTable();
+        position_ = 0;
+        identity_ = identity;
+      }
+      const std::vector<JournalReport> reports = journal.readAfter(position_);
+      for (const JournalReport& report : reports) table_.update(report.source, report.plants);
+      if (reports.empty()) return false;
+      frame_id_ = journal.frameId();
+    } catch (const JournalError& error) {
+      ROS_ERROR_STREAM_THROTTLE(5.0, error.what());
+      return false;
+    }
+    if (looked_ - told_ > kTellInterval) {
+      told_ = looked_;
+      ROS_INFO_STREAM(table_.size() << " plants so far");
+    }
+    return true;
+  }
+
+  bool write() {
     try {
       const std::vector<Phenotype> plants = table_.plants();
       writePhenotypeCsv(directory_ / "plants.csv", plants);
       writePhenotypeGeoJson(directory_ / "plants.geojson", plants, frame_id_);
+      return true;
     } catch (const std::exception& error) {
       ROS_ERROR_STREAM(error.what());
       all_written_ = false;
+      return false;
     }
   }
 
   std::filesystem::path directory_;
+  std::string journal_;
   const bool end_with_clock_;
   const ros::WallDuration clock_timeout_;
   std::vector<std::string> flush_services_;
   PlantTable table_;
-  std::string frame_id_;
-  bool changed_ = false;
+  std::string identity_;       // of the journal that it is from
+  std::int64_t position_ = 0;  // read so far
+  std::string frame_id_ = "map";
   bool all_written_ = true;
-  ros::WallTime written_;
+  ros::WallTime looked_;
   ros::WallTime told_;
   ros::WallTime last_clock_;
-  ros::Subscriber input_;
+  ros::ServiceServer export_;
   ros::Subscriber clock_;
 };
 

@@ -17,6 +17,7 @@ constexpr double kNanosecond = 1e-9;
 
 /// What the streaming side knows about one tile.
 struct TileState {
+  std::uint64_t began_ns = 0U;      // first scan that reached the tile
   std::uint64_t touched_ns = 0U;    // newest scan that reached the block (tile or margin)
   std::uint64_t handed_on_ns = 0U;  // newest scan when it was last handed on
   std::size_t new_voxels = 0U;      // of the tile, since it was last handed on
@@ -129,7 +130,9 @@ bool Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::
   const BlockIndex index = map.tileAt(p.x(), p.y());
   const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
   if (!hasVoxelKey(local, map.voxelSize())) return false;
-  TileState& state = states[index];
+  const auto [found, fresh] = states.try_emplace(index);
+  TileState& state = found->second;
+  if (fresh) state.began_ns = newest_ns;
   if (map.tile(index).insert(local, map.voxelSize(), with_color, color)) {
     ++state.new_voxels;
     ++voxel_count;
@@ -237,6 +240,7 @@ Block Preprocessor::makeBlock(const BlockIndex& index, bool flush) const {
   block.header.margin = p.block_margin;
   const auto state = impl_->states.find(index);
   if (state != impl_->states.end()) {
+    block.header.began_ns = state->second.began_ns;
     block.header.revision = state->second.revision + 1U;
     block.header.final = flush || impl_->isFinal(state->second);
   }

@@ -3,6 +3,8 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <map>
+#include <random>
 #include <set>
 #include <thread>
 #include <vector>
@@ -15,11 +17,12 @@ namespace {
 constexpr double kTile = 2.0;
 
 /// A block with plants at the given places of the map; those that it may claim are owned.
-SegmentedBlock blockWith(const BlockIndex& index, const std::vector<Eigen::Vector2d>& bases) {
+SegmentedBlock blockWith(const BlockIndex& index, const std::vector<Eigen::Vector2d>& bases,
+                         double tile = kTile) {
   SegmentedBlock block;
   block.header.index = index;
-  block.header.tile_size = kTile;
-  block.cloud.origin = {(index.x + 0.5) * kTile, (index.y + 0.5) * kTile, 0.0};
+  block.header.tile_size = tile;
+  block.cloud.origin = {(index.x + 0.5) * tile, (index.y + 0.5) * tile, 0.0};
   for (const Eigen::Vector2d& base : bases) {
     Plant plant;
     plant.base.head<2>() = (base - block.cloud.origin.head<2>()).cast<float>();
@@ -137,6 +140,128 @@ TEST(PlantRegistry, FarFromTheOrigin) {
   EXPECT_EQ(identify(registry, blockWith(index, {far + Eigen::Vector2d(0.52, 0.5),
                                                  far + Eigen::Vector2d(0.61, 0.5)})),
             first);
+}
+
+/// Rows of plants with sowing errors, in tiles.
+class Stand {
+ public:
+  static constexpr double kBlock = 4.0;  // [m]
+
+  Stand(int rows, int plants_per_row, double row_spacing, double spacing, unsigned seed)
+      : random_(seed) {
+    for (int r = 0; r < rows; ++r) {
+      for (int k = 0; k < plants_per_row; ++k) {
+        bases_.emplace_back(spacing * k + 0.08 * spacing * normal_(random_),
+                            row_spacing * r + 0.01 * normal_(random_));
+      }
+    }
+  }
+
+  std::size_t size() const { return bases_.size(); }
+
+  /// One pass over all tiles: each plant is seen with probability `seen`, `error` off, in a map
+  /// that has moved. Adds the ids that plant k was given to `ids[k]`.
+  void pass(PlantRegistry& registry, std::uint64_t begin_ns, const Eigen::Vector2d& shift,
+            double error, double seen, std::vector<std::set<std::int32_t>>& ids) {
+    constexpr std::uint64_t kSecond = 1'000'000'000U;
+    std::map<BlockIndex, std::vector<std::pair<std::size_t, Eigen::Vector2d>>> tiles;
+    for (std::size_t k = 0; k < bases_.size(); ++k) {
+      if (!(uniform_(random_) < seen)) continue;
+      const Eigen::Vector2d base =
+          bases_[k] + shift + error * Eigen::Vector2d(normal_(random_), normal_(random_));
+      for (int x = -1; x <= 1; ++x) {
+        for (int y = -1; y <= 1; ++y) {
+          const BlockIndex index{static_cast<int>(std::floor(base.x() / kBlock)) + x,
+                                 static_cast<int>(std::floor(base.y() / kBlock)) + y};
+          tiles[index].emplace_back(k, base);  // with the neighbours', as margins have them
+        }
+      }
+    }
+    std::uint64_t stamp = begin_ns + kSecond;
+    for (auto& [index, plants] : tiles) {
+      // First what was seen so far, then all.
+      for (const std::size_t count : {plants.size() / 3U, plants.size()}) {
+        std::vector<Eigen::Vector2d> bases;
+        for (std::size_t k = 0; k < count; ++k) bases.push_back(plants[k].second);
+        SegmentedBlock block = blockWith(index, bases, kBlock);
+        block.header.began_ns = begin_ns;
+        block.header.final = count == plants.size();
+        block.header.stamp_ns = stamp += kSecond;
+        registry.identify(block);
+        for (std::size_t k = 0; k < count; ++k) {
+          if (block.plants[k].owned) ids[plants[k].first].insert(block.plants[k].id);
+        }
+      }
+    }
+  }
+
+ private:
+  std::mt19937 random_;
+  std::normal_distribution<double> normal_;
+  std::uniform_real_distribution<double> uniform_{0.0, 1.0};
+  std::vector<Eigen::Vector2d> bases_;
+};
+
+void expectOneIdEach(const std::vector<std::set<std::int32_t>>& ids, std::size_t registered) {
+  std::set<std::int32_t> all;
+  std::size_t several = 0U;
+  for (const auto& of_plant : ids) {
+    several += of_plant.size() > 1U ? 1U : 0U;
+    all.insert(of_plant.begin(), of_plant.end());
+  }
+  EXPECT_EQ(several, 0U) << "plants have several ids";
+  EXPECT_EQ(all.size(), ids.size()) << "plants share an id";
+  EXPECT_EQ(registered, ids.size()) << "plants are registered twice";
+}
+
+TEST(PlantRegistry, ASecondPassFindsEveryPlantAgain) {
+  constexpr std::uint64_t kMinutes = 60'000'000'000U;
+  for (const double spacing : {0.20, 0.15, 0.10}) {
+    for (unsigned seed = 0; seed < 8U; ++seed) {
+      // A SLAM that has moved the map by up to 10 cm, in any direction, and moves it back again.
+      std::mt19937 random(seed);
+      std::uniform_real_distribution<double> turn(0.0, 6.283);
+      const double direction = turn(random);
+      const Eigen::Vector2d shift =
+          (0.0125 * (seed + 1U)) * Eigen::Vector2d(std::cos(direction), std::sin(direction));
+      SCOPED_TRACE(::testing::Message() << "spacing " << spacing << " shift " << shift.transpose());
+      PlantRegistry registry(0.4 * spacing < 0.06 ? 0.4 * spacing : 0.06);
+      Stand stand(7, static_cast<int>(15.0 / spacing), 0.75, spacing, seed);
+      std::vector<std::set<std::int32_t>> ids(stand.size());
+      stand.pass(registry, 1U * kMinutes, Eigen::Vector2d::Zero(), 0.003, 1.0, ids);
+      stand.pass(registry, 10U * kMinutes, shift, 0.006, 0.9, ids);
+      stand.pass(registry, 20U * kMinutes, shift, 0.006, 0.9, ids);
+      stand.pass(registry, 30U * kMinutes, Eigen::Vector2d::Zero(), 0.006, 0.9, ids);
+      expectOneIdEach(ids, registry.size());
+    }
+  }
+}
+
+TEST(PlantRegistry, APlantThatWasAddedIsNoReasonToThinkThatTheMapMoved) {
+  PlantRegistry registry;
+  SegmentedBlock first = blockWith({0, 0}, {{0.5, 0.5}, {0.7, 0.5}});
+  first.header.stamp_ns = 5U;
+  registry.identify(first);
+  SegmentedBlock second = blockWith({0, 0}, {{0.4, 0.5}, {0.5, 0.5}, {0.7, 0.5}});
+  second.header.began_ns = 6U;
+  second.header.stamp_ns = 7U;
+  const PlantRegistry::Outcome outcome = registry.identify(second);
+  EXPECT_EQ(outcome.known, 2U);
+  EXPECT_EQ(outcome.added, 1U);
+  EXPECT_EQ(second.plants[1].id, first.plants[0].id);
+  EXPECT_EQ(outcome.shift.norm(), 0.0);
+}
+
+TEST(PlantRegistry, GoesOnWithThePlantsOfAnEarlierRun) {
+  PlantRegistry registry;
+  registry.restore({{17, {0.5, 0.5}, 3U}, {4, {1.0, 0.5}, 3U}});
+  SegmentedBlock block = blockWith({0, 0}, {{1.01, 0.5}, {0.2, 0.5}, {0.5, 0.49}});
+  block.header.began_ns = 8U;
+  block.header.stamp_ns = 9U;
+  registry.identify(block);
+  EXPECT_EQ(block.plants[0].id, 4);
+  EXPECT_EQ(block.plants[1].id, 18) << "new ids begin above the old ones";
+  EXPECT_EQ(block.plants[2].id, 17);
 }
 
 TEST(PlantRegistry, BlocksFromManyThreads) {

@@ -12,7 +12,6 @@
 #include <vector>
 
 #include "conversions.hpp"
-#include "plant_table.hpp"
 #include "synthetic_field.hpp"
 
 namespace field_phenotyping {
@@ -47,17 +46,22 @@ class FieldClient {
 
   void publish(const sensor_msgs::PointCloud2& cloud) { points_.publish(cloud); }
 
-  /// The field in `count` scans of a sensor that drives past, 10 a second, each with its tf.
-  void driveBy(int count) {
+  /// The field in `count` scans of a sensor that drives past and, if so asked, back, 10 a second,
+  /// each with its tf, by a SLAM whose map is `shift` off.
+  void driveBy(int count, const Eigen::Vector3d& shift = Eigen::Vector3d::Zero(),
+               bool back = false) {
+    // Without a pause where one drive follows another, however slow the machine.
+    if (next_stamp_ + ros::Duration(5.0) < ros::Time::now()) next_stamp_ = ros::Time::now();
     for (int k = 0; k < count; ++k) {
-      const Eigen::Isometry3d pose = sensorPose(k, count);
-      const ros::Time stamp = ros::Time::now();
-      publish(cloudOf(field_, pose, "lidar", stamp, static_cast<std::size_t>(k),
+      Eigen::Isometry3d pose = sensorPose(back ? count - k : k, count);
+      publish(cloudOf(field_, pose, "lidar", next_stamp_, static_cast<std::size_t>(k),
                       static_cast<std::size_t>(count)));
       // The SLAM is later than the scan that it places.
       ros::WallDuration(0.05).sleep();
-      broadcast(pose, stamp);
+      pose.pretranslate(shift);
+      broadcast(pose, next_stamp_);
       waitFor([] { return false; }, 0.05);
+      next_stamp_ += ros::Duration(0.1);
     }
   }
 
@@ -79,16 +83,17 @@ class FieldClient {
 
   /// Whether every plant of the field has been reported as final, none missing, none invented.
   bool foundEveryPlant() const {
-    const auto plants = table_.plants();
+    const auto plants = this->plants();
     return plants.size() == field_.bases.size() &&
            std::all_of(plants.begin(), plants.end(), [](const Phenotype& p) { return p.final; });
   }
 
   /// Compares what was found with the truth.
-  void expectTruth() const {
-    const auto plants = table_.plants();
+  void expectTruth(const Eigen::Vector3d& shift = Eigen::Vector3d::Zero()) const {
+    const auto plants = this->plants();
     EXPECT_EQ(plants.size(), field_.bases.size());
-    for (const Eigen::Vector3d& base : field_.bases) {
+    for (const Eigen::Vector3d& true_base : field_.bases) {
+      const Eigen::Vector3d base = true_base + shift;
       const auto nearest = std::min_element(
           plants.begin(), plants.end(), [&](const Phenotype& a, const Phenotype& b) {
             return (a.base - base).norm() < (b.base - base).norm();
@@ -111,13 +116,20 @@ class FieldClient {
     return false;
   }
 
-  void forgetPlants() { table_ = PlantTable(); }
+  /// What the newest message of each block says.
+  std::vector<Phenotype> plants() const {
+    std::vector<Phenotype> all;
+    for (const auto& block : plants_of_)
+      all.insert(all.end(), block.second.begin(), block.second.end());
+    return all;
+  }
+  void forgetPlants() { plants_of_.clear(); }
   const SyntheticField& field() const { return field_; }
   ros::NodeHandle& nodeHandle() { return nh_; }
 
  private:
   void notePlants(const PlantPhenotypeArrayConstPtr& message) {
-    table_.update({message->block_x, message->block_y}, message->revision, fromMessage(*message));
+    plants_of_[{message->block_x, message->block_y}] = fromMessage(*message);
   }
 
   void noteDiagnostics(const diagnostic_msgs::DiagnosticArrayConstPtr& message) {
@@ -134,7 +146,8 @@ class FieldClient {
 
   ros::NodeHandle nh_;
   SyntheticField field_;
-  PlantTable table_;
+  ros::Time next_stamp_;
+  std::map<BlockIndex, std::vector<Phenotype>> plants_of_;
   std::map<std::string, std::string> troubles_;  // all that was said, by status name
   tf2_ros::TransformBroadcaster broadcaster_;
   ros::Publisher points_;

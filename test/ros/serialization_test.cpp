@@ -25,6 +25,7 @@ To overTheWire(const From& value, std::size_t cut = 0U) {
 BlockHeader someHeader() {
   BlockHeader header;
   header.stamp_ns = 1604515190000000123U;
+  header.began_ns = 1604515180000000001U;
   header.frame_id = "map";
   header.index = {-7, 9};
   header.revision = 4U;
@@ -94,6 +95,7 @@ CompletedBlock completedBlock() {
 
 void expectSame(const BlockHeader& a, const BlockHeader& b) {
   EXPECT_EQ(a.stamp_ns, b.stamp_ns);
+  EXPECT_EQ(a.began_ns, b.began_ns);
   EXPECT_EQ(a.frame_id, b.frame_id);
   EXPECT_TRUE(a.index == b.index);
   EXPECT_EQ(a.revision, b.revision);

@@ -37,6 +37,7 @@ struct Phenotype {
   std::int32_t id = -1;
   std::uint32_t revision = 0U;
   bool final = false;
+  std::uint32_t passes = 1U;  ///< times that the sensor went past it, whose values are in these
   Eigen::Vector3d base = Eigen::Vector3d::Zero();   ///< where the stem's axis meets the soil [m]
   Eigen::Vector3d axis = Eigen::Vector3d::UnitZ();  ///< mean direction of the stem, unit, upwards
   Trait height;                    ///< vertical, from the soil at the base to the plant's top [m]

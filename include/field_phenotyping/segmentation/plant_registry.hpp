@@ -4,15 +4,28 @@
 #include <cstdint>
 #include <map>
 #include <mutex>
-#include <set>
+#include <optional>
 #include <utility>
+#include <vector>
 
 #include "field_phenotyping/segmentation/segmented_block.hpp"
 
 namespace field_phenotyping {
 
-/// Gives each plant one id for as long as the map frame lasts: a plant found again near a known
-/// base keeps its id through every revision of its block.
+/// A plant that has had its id before, for instance in a run that this one goes on with.
+struct KnownPlant {
+  std::int32_t id = -1;
+  Eigen::Vector2d base = Eigen::Vector2d::Zero();  ///< x, y in the map frame [m]
+  std::uint64_t stamp_ns = 0U;  ///< newest scan that it was seen in [ns since the epoch]
+};
+
+/// Gives each plant one id for as long as the map frame lasts: through every revision of its block,
+/// and when it is passed again, be it minutes later from the other side of its row.
+///
+/// Between two passes the SLAM may have moved the map. Bases of the same plants then differ all in
+/// the same way, so a block that begins a new pass is first laid over what is known of its place:
+/// by the displacement, up to kMostShift, that brings the most bases together. How plants stand in
+/// their rows tells it even where it is half of their spacing.
 ///
 /// It also settles which block reports a plant. Two blocks that share a border both see the plants
 /// on it, and may place a base on either side; the first block to claim such a plant keeps it until
@@ -21,13 +34,25 @@ class PlantRegistry {
  public:
   /// A block may claim plants this far outside its tile [m].
   static constexpr double kBorderTolerance = 0.10;
+  /// The map moves by at most this between two passes [m].
+  static constexpr double kMostShift = 0.15;
+
+  /// What became of a block's plants.
+  struct Outcome {
+    std::size_t known = 0U;                           ///< plants that had an id
+    std::size_t added = 0U;                           ///< plants that were given one
+    Eigen::Vector2d shift = Eigen::Vector2d::Zero();  ///< of the map since the last pass [m]
+  };
 
   /// @param match_radius [m] two bases nearer than this are one plant
   explicit PlantRegistry(double match_radius = 0.06);
 
+  /// Plants of an earlier run. New ids begin above theirs.
+  void restore(const std::vector<KnownPlant>& plants);
+
   /// Names the owned plants of `block`, each with an id of its own; plants that another block has
   /// claimed are marked as not owned.
-  void identify(SegmentedBlock& block);
+  Outcome identify(SegmentedBlock& block);
 
   /// Plants ever named.
   std::size_t size() const;
@@ -36,18 +61,38 @@ class PlantRegistry {
   using Cell = std::pair<std::int64_t, std::int64_t>;
   struct Entry {
     std::int32_t id = -1;
-    Eigen::Vector2d base = Eigen::Vector2d::Zero();  // x, y in the map frame [m]
+    Eigen::Vector2d base = Eigen::Vector2d::Zero();  // in the map as it was at stamp_ns [m]
+    std::uint64_t stamp_ns = 0U;
     BlockIndex owner;
     bool claimed = false;
   };
   using Entries = std::multimap<Cell, Entry>;
+  using Found = std::vector<Entries::iterator>;
 
-  Cell cellOf(const Eigen::Vector2d& base) const;
-  Entries::iterator findNearest(const Eigen::Vector2d& base, const std::set<std::int32_t>& given);
+  struct FoundShift {
+    Eigen::Vector2d shift;
+    bool sure;  // no other fits nearly as well
+  };
+  struct ExpectedShift {
+    Eigen::Vector2d shift;
+    double stddev;
+  };
+  struct LastShift {
+    Eigen::Vector2d shift = Eigen::Vector2d::Zero();
+    std::uint64_t stamp_ns = 0U;
+  };
+
+  Found findNear(const std::vector<Eigen::Vector2d>& bases, double reach);
+  std::optional<FoundShift> findShift(const std::vector<Eigen::Vector2d>& bases,
+                                      const std::vector<Eigen::Vector2d>& earlier,
+                                      std::uint64_t stamp_ns) const;
+  ExpectedShift expectedShift(std::uint64_t stamp_ns) const;
+  void file(Entry entry);
 
   const double match_radius_;
   mutable std::mutex mutex_;
   Entries entries_;
+  LastShift last_shift_;
   std::int32_t next_id_ = 0;
 };
 

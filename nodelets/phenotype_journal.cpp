@@ -1,0 +1,271 @@
+#include "phenotype_journal.hpp"
+
+#include <field_phenotyping/PlantPhenotype.h>
+#include <ros/serialization.h>
+#include <sqlite3.h>
+
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <system_error>
+
+#include "conversions.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr int kBusyTimeout = 5000;  // [ms] that another process may hold the file
+
+// What a plant is, whole, is in `message`, as PlantPhenotype goes over the wire. The other columns
+// are for people who look into the file.
+constexpr const char* kSchema = R"(
+CREATE TABLE IF NOT EXISTS setting (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE IF NOT EXISTS report (
+  number INTEGER PRIMARY KEY AUTOINCREMENT,
+  block_x INTEGER NOT NULL, block_y INTEGER NOT NULL,
+  began_ns INTEGER NOT NULL, stamp_ns INTEGER NOT NULL, revision INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS plant (
+  report INTEGER NOT NULL REFERENCES report (number),
+  plant_id INTEGER NOT NULL,
+  x REAL, y REAL, z REAL, height REAL, height_stddev REAL,
+  stem_diameter REAL, stem_diameter_stddev REAL, flags INTEGER NOT NULL,
+  message BLOB NOT NULL);
+CREATE INDEX IF NOT EXISTS plant_of_report ON plant (report);
+CREATE INDEX IF NOT EXISTS report_of_plant ON plant (plant_id);
+)";
+
+std::vector<std::uint8_t> bytesOf(const Phenotype& plant) {
+  const PlantPhenotype message = toMessage(plant);
+  std::vector<std::uint8_t> bytes(ros::serialization::serializationLength(message));
+  ros::serialization::OStream stream(bytes.data(), static_cast<std::uint32_t>(bytes.size()));
+  ros::serialization::serialize(stream, message);
+  return bytes;
+}
+
+Phenotype plantOf(const void* bytes, int size) {
+  std::vector<std::uint8_t> copy(static_cast<std::size_t>(size));
+  std::memcpy(copy.data(), bytes, copy.size());
+  ros::serialization::IStream stream(copy.data(), static_cast<std::uint32_t>(copy.size()));
+  PlantPhenotype message;
+  ros::serialization::deserialize(stream, message);
+  return fromMessage(message);
+}
+
+const char* messageVersion() {
+  return ros::message_traits::MD5Sum<PlantPhenotype>::value();
+}
+
+}  // namespace
+
+/// A prepared statement; parameters and columns count from 1 and from 0, as in SQLite.
+class PhenotypeJournal::Statement {
+ public:
+  Statement(const PhenotypeJournal& journal, const char* sql) : journal_(journal) {
+    if (sqlite3_prepare_v2(journal.database_.get(), sql, -1, &statement_, nullptr) != SQLITE_OK) {
+      journal.fail("read");
+    }
+  }
+  ~Statement() { sqlite3_finalize(statement_); }
+  Statement(const Statement&) = delete;
+  Statement& operator=(const Statement&) = delete;
+
+  void bind(int k, std::int64_t value) { sqlite3_bind_int64(statement_, k, value); }
+  void bind(int k, double value) {
+    if (std::isfinite(value)) {
+      sqlite3_bind_double(statement_, k, value);
+    } else {
+      sqlite3_bind_null(statement_, k);
+    }
+  }
+  void bind(int k, const std::string& value) {
+    sqlite3_bind_text(statement_, k, value.c_str(), -1, SQLITE_TRANSIENT);
+  }
+  void bind(int k, const std::vector<std::uint8_t>& bytes) {
+    sqlite3_bind_blob(statement_, k, bytes.data(), static_cast<int>(bytes.size()),
+                      SQLITE_TRANSIENT);
+  }
+
+  /// @return whether there is a row
+  bool step() {
+    const int result = sqlite3_step(statement_);
+    if (result == SQLITE_ROW) return true;
+    if (result != SQLITE_DONE) journal_.fail("use");
+    return false;
+  }
+  /// Runs a statement without rows, and readies it for other values.
+  void run() {
+    step();
+    sqlite3_reset(statement_);
+  }
+
+  std::int64_t integer(int k) const { return sqlite3_column_int64(statement_, k); }
+  std::string text(int k) const {
+    const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(statement_, k));
+    return text == nullptr ? "" : text;
+  }
+  bool has(int k) const { return sqlite3_column_type(statement_, k) != SQLITE_NULL; }
+  Phenotype plant(int k) const {
+    return plantOf(sqlite3_column_blob(statement_, k), sqlite3_column_bytes(statement_, k));
+  }
+
+ private:
+  const PhenotypeJournal& journal_;
+  sqlite3_stmt* statement_ = nullptr;
+};
+
+PhenotypeJournal::PhenotypeJournal(const std::string& path, Access access)
+    : path_(path), database_(nullptr, sqlite3_close) {
+  if (access == Access::kWrite) {
+    std::error_code error;
+    const auto folder = std::filesystem::path(path).parent_path();
+    if (!folder.empty()) std::filesystem::create_directories(folder, error);
+    if (error) {
+      throw JournalError("cannot make the folder of the journal " + path + ": " + error.message());
+    }
+  }
+  sqlite3* database = nullptr;
+  // A reader, too, must be able to take part in the write-ahead log.
+  const int flags =
+      access == Access::kWrite ? SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE : SQLITE_OPEN_READWRITE;
+  const int result = sqlite3_open_v2(path.c_str(), &database, flags, nullptr);
+  database_.reset(database);
+  if (result != SQLITE_OK) fail("open");
+  sqlite3_busy_timeout(database, kBusyTimeout);
+  if (access == Access::kWrite) {
+    execute("PRAGMA journal_mode = WAL");
+    execute("PRAGMA synchronous = FULL");
+    execute(kSchema);
+    if (setting("plant").empty()) {
+      Statement statement(*this, "INSERT INTO setting VALUES ('identity', hex(randomblob(16)))");
+      statement.run();
+      set("plant", messageVersion());
+    }
+  }
+  if (setting("plant") != messageVersion()) {
+    throw JournalError("the journal " + path +
+                       " was written by a version of field_phenotyping that measures other traits: "
+                       "give another file, or read it with that version");
+  }
+}
+
+PhenotypeJournal::~PhenotypeJournal() = default;
+
+void PhenotypeJournal::fail(const std::string& doing) const {
+  throw JournalError("cannot " + doing + " the journal " + path_ + ": " +
+                     (database_ ? sqlite3_errmsg(database_.get()) : "out of memory") +
+                     ". May the file and its folder be written, is the disk full?");
+}
+
+void PhenotypeJournal::execute(const char* sql) {
+  if (sqlite3_exec(database_.get(), sql, nullptr, nullptr, nullptr) != SQLITE_OK) fail("write");
+}
+
+std::string PhenotypeJournal::setting(const std::string& name) const {
+  Statement statement(*this, "SELECT value FROM setting WHERE name = ?");
+  statement.bind(1, name);
+  return statement.step() ? statement.text(0) : "";
+}
+
+void PhenotypeJournal::set(const std::string& name, const std::string& value) {
+  Statement statement(*this, "INSERT OR REPLACE INTO setting VALUES (?, ?)");
+  statement.bind(1, name);
+  statement.bind(2, value);
+  statement.run();
+}
+
+std::string PhenotypeJournal::frameId() const {
+  return setting("frame_id");
+}
+
+void PhenotypeJournal::setFrameId(const std::string& frame_id) {
+  const std::string known = frameId();
+  if (known == frame_id) return;
+  if (!known.empty()) {
+    throw JournalError("the journal " + path_ + " holds positions in frame '" + known +
+                       "', these are in '" + frame_id + "': give another file");
+  }
+  set("frame_id", frame_id);
+}
+
+std::string PhenotypeJournal::identity() const {
+  return setting("identity");
+}
+
+void PhenotypeJournal::append(const JournalReport& report) {
+  execute("BEGIN IMMEDIATE");
+  try {
+    Statement head(*this,
+                   "INSERT INTO report (block_x, block_y, began_ns, stamp_ns, revision) "
+                   "VALUES (?, ?, ?, ?, ?)");
+    head.bind(1, std::int64_t{report.source.block.x});
+    head.bind(2, std::int64_t{report.source.block.y});
+    head.bind(3, static_cast<std::int64_t>(report.source.began_ns));
+    head.bind(4, static_cast<std::int64_t>(report.source.stamp_ns));
+    head.bind(5, std::int64_t{report.source.revision});
+    head.run();
+    const std::int64_t number = sqlite3_last_insert_rowid(database_.get());
+    Statement row(*this, "INSERT INTO plant VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)");
+    for (const Phenotype& plant : report.plants) {
+      row.bind(1, number);
+      row.bind(2, std::int64_t{plant.id});
+      row.bind(3, plant.base.x());
+      row.bind(4, plant.base.y());
+      row.bind(5, plant.base.z());
+      row.bind(6, plant.height.value);
+      row.bind(7, plant.height.stddev);
+      row.bind(8, plant.stem_diameter.value);
+      row.bind(9, plant.stem_diameter.stddev);
+      row.bind(10, std::int64_t{plant.flags});
+      row.bind(11, bytesOf(plant));
+      row.run();
+    }
+    execute("COMMIT");
+  } catch (const JournalError&) {
+    sqlite3_exec(database_.get(), "ROLLBACK", nullptr, nullptr, nullptr);
+    throw;
+  }
+}
+
+std::vector<JournalReport> PhenotypeJournal::readAfter(std::int64_t& position) const {
+  std::vector<JournalReport> reports;
+  Statement rows(*this,
+                 "SELECT number, block_x, block_y, began_ns, stamp_ns, revision, message "
+                 "FROM report LEFT JOIN plant ON plant.report = report.number "
+                 "WHERE number > ? ORDER BY number, plant.rowid");
+  rows.bind(1, position);
+  constexpr int kMessage = 6;
+  while (rows.step()) {
+    if (reports.empty() || rows.integer(0) != position) {
+      position = rows.integer(0);
+      JournalReport report;
+      report.source.block = {static_cast<std::int32_t>(rows.integer(1)),
+                             static_cast<std::int32_t>(rows.integer(2))};
+      report.source.began_ns = static_cast<std::uint64_t>(rows.integer(3));
+      report.source.stamp_ns = static_cast<std::uint64_t>(rows.integer(4));
+      report.source.revision = static_cast<std::uint32_t>(rows.integer(5));
+      reports.push_back(std::move(report));
+    }
+    if (rows.has(kMessage)) reports.back().plants.push_back(rows.plant(kMessage));
+  }
+  return reports;
+}
+
+std::string moveJournalAside(const std::string& path) {
+  namespace fs = std::filesystem;
+  std::error_code error;
+  if (!fs::exists(path, error)) return "";
+  const fs::path file(path);
+  std::string other;
+  for (int k = 1; other.empty() || fs::exists(other); ++k) {
+    other = (file.parent_path() / file.stem()).string() + "-" + std::to_string(k) +
+            file.extension().string();
+  }
+  fs::rename(path, other, error);
+  if (error) throw JournalError("cannot rename the journal " + path + ": " + error.message());
+  // A killed writer has left its newest reports in the log beside it.
+  if (fs::exists(path + "-wal")) fs::rename(path + "-wal", other + "-wal", error);
+  fs::remove(path + "-shm", error);
+  return other;
+}
+
+}  // namespace field_phenotyping

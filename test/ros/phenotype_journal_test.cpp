@@ -1,0 +1,178 @@
+#include "phenotype_journal.hpp"
+
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+namespace field_phenotyping {
+namespace {
+
+namespace fs = std::filesystem;
+using Access = PhenotypeJournal::Access;
+
+class Journal : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    folder_ = fs::temp_directory_path() / ("phenotype_journal_test_" + std::to_string(::getpid()));
+    fs::remove_all(folder_);
+    path_ = folder_ / "deep" / "journal.sqlite";
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  static JournalReport report(std::uint32_t revision, int plants) {
+    JournalReport result;
+    result.source.block = {-3, 4};
+    result.source.began_ns = 1604515190000000123U;
+    result.source.stamp_ns = 1604515199000000456U;
+    result.source.revision = revision;
+    for (int k = 0; k < plants; ++k) {
+      Phenotype plant;
+      plant.id = k;
+      plant.base = {448262.125, 5411932.5, 90.0};
+      plant.height = {1.5 + 0.1 * k, 0.01};
+      plant.flags = kArcBelow;
+      plant.passes = 1U;
+      result.plants.push_back(plant);
+    }
+    return result;
+  }
+
+  fs::path folder_;
+  std::string path_;
+};
+
+TEST_F(Journal, GivesBackWhatItWasGiven) {
+  {
+    PhenotypeJournal journal(path_, Access::kWrite);
+    journal.setFrameId("map");
+    journal.append(report(1U, 2));
+    journal.append(report(2U, 0));
+    journal.append(report(3U, 1));
+  }
+  const PhenotypeJournal journal(path_, Access::kRead);
+  EXPECT_EQ(journal.frameId(), "map");
+  std::int64_t position = 0;
+  const auto reports = journal.readAfter(position);
+  ASSERT_EQ(reports.size(), 3U);
+  EXPECT_EQ(reports[0].source.block.x, -3);
+  EXPECT_EQ(reports[0].source.began_ns, 1604515190000000123U);
+  EXPECT_EQ(reports[0].source.stamp_ns, 1604515199000000456U);
+  EXPECT_EQ(reports[2].source.revision, 3U);
+  EXPECT_TRUE(reports[1].plants.empty()) << "a block without plants is a report, too";
+  ASSERT_EQ(reports[0].plants.size(), 2U);
+  EXPECT_EQ(reports[0].plants[1].id, 1);
+  EXPECT_EQ(reports[0].plants[1].base.x(), 448262.125);
+  EXPECT_EQ(reports[0].plants[1].height.value, 1.6);
+  EXPECT_EQ(reports[0].plants[1].flags, kArcBelow);
+  EXPECT_TRUE(std::isnan(reports[0].plants[1].stem_diameter.value));
+  EXPECT_TRUE(journal.readAfter(position).empty());
+}
+
+TEST_F(Journal, IsReadWhileItIsWritten) {
+  PhenotypeJournal writer(path_, Access::kWrite);
+  const PhenotypeJournal reader(path_, Access::kRead);
+  std::int64_t position = 0;
+  for (std::uint32_t revision = 1U; revision < 20U; ++revision) {
+    writer.append(report(revision, 3));
+    const auto news = reader.readAfter(position);
+    ASSERT_EQ(news.size(), 1U);
+    EXPECT_EQ(news[0].source.revision, revision);
+  }
+}
+
+TEST_F(Journal, OutlivesAProcessThatIsKilledAnywhere) {
+  // The child writes and says after each report that it is durable; it is killed at some moment.
+  std::uint32_t written_before = 0U;
+  for (int round = 0; round < 20; ++round) {
+    int said[2];
+    ASSERT_EQ(::pipe(said), 0);
+    const pid_t child = ::fork();
+    if (child == 0) {
+      PhenotypeJournal journal(path_, Access::kWrite);
+      for (std::uint32_t revision = written_before + 1U;; ++revision) {
+        journal.append(report(revision, 5));
+        if (::write(said[1], &revision, sizeof(revision)) < 0) ::_exit(1);
+      }
+    }
+    ::close(said[1]);
+    std::uint32_t last = written_before;
+    for (int k = 0; k < 3; ++k) ASSERT_GT(::read(said[0], &last, sizeof(last)), 0);
+    ::usleep(static_cast<useconds_t>(300 * round));
+    ::kill(child, SIGKILL);
+    ::waitpid(child, nullptr, 0);
+    for (std::uint32_t heard = 0U; ::read(said[0], &heard, sizeof(heard)) > 0;) last = heard;
+    ::close(said[0]);
+
+    const PhenotypeJournal journal(path_, Access::kWrite);
+    std::int64_t position = 0;
+    const auto reports = journal.readAfter(position);
+    ASSERT_GE(reports.size(), last);
+    for (std::size_t k = 0; k < reports.size(); ++k) {
+      EXPECT_EQ(reports[k].source.revision, k + 1U);
+      EXPECT_EQ(reports[k].plants.size(), 5U) << "half a report";
+    }
+    written_before = static_cast<std::uint32_t>(reports.size());
+  }
+}
+
+TEST_F(Journal, RefusesAnotherFrame) {
+  PhenotypeJournal journal(path_, Access::kWrite);
+  journal.setFrameId("map");
+  journal.setFrameId("map");
+  try {
+    journal.setFrameId("odom");
+    FAIL();
+  } catch (const JournalError& error) {
+    EXPECT_NE(std::string(error.what()).find("'odom'"), std::string::npos) << error.what();
+  }
+}
+
+TEST_F(Journal, IsMovedAsideWhole) {
+  EXPECT_EQ(moveJournalAside(path_), "");
+  std::string first;
+  {
+    PhenotypeJournal journal(path_, Access::kWrite);
+    journal.append(report(1U, 2));
+    first = journal.identity();
+    EXPECT_FALSE(first.empty());
+    // As a killed process leaves it: with a log beside it.
+    fs::copy(path_, path_ + "-copy");
+    fs::copy(path_ + "-wal", path_ + "-copy-wal");
+  }
+  fs::rename(path_ + "-copy", path_);
+  fs::rename(path_ + "-copy-wal", path_ + "-wal");
+  const std::string other = moveJournalAside(path_);
+  EXPECT_EQ(fs::path(other).filename(), "journal-1.sqlite");
+  PhenotypeJournal fresh(path_, Access::kWrite);
+  EXPECT_NE(fresh.identity(), first);
+  std::int64_t position = 0;
+  EXPECT_TRUE(fresh.readAfter(position).empty());
+  EXPECT_EQ(PhenotypeJournal(other, Access::kRead).readAfter(position).size(), 1U);
+}
+
+TEST_F(Journal, SaysWhatIsWrong) {
+  fs::create_directories(folder_);
+  const std::string file = folder_ / "notes.txt";
+  std::ofstream(file) << "this is no journal, but long enough to be taken for one at first sight";
+  const std::string missing = folder_ / "missing.sqlite";
+  const std::string below_a_file = file + "/journal.sqlite";
+  for (const std::string& path : {file, below_a_file}) {
+    try {
+      PhenotypeJournal journal(path, Access::kWrite);
+      FAIL() << path;
+    } catch (const JournalError& error) {
+      EXPECT_NE(std::string(error.what()).find(path), std::string::npos) << error.what();
+    }
+  }
+  EXPECT_THROW(PhenotypeJournal(missing, Access::kRead), JournalError);
+  EXPECT_FALSE(fs::exists(missing)) << "reading makes no file";
+}
+
+}  // namespace
+}  // namespace field_phenotyping
