@@ -12,29 +12,38 @@ bool ofOnePass(const ReportSource& a, const ReportSource& b) {
   return a.began_ns <= b.stamp_ns && b.began_ns <= a.stamp_ns;
 }
 
+bool isNewer(const ReportSource& a, const ReportSource& b) {
+  return a.stamp_ns != b.stamp_ns ? a.stamp_ns > b.stamp_ns : a.revision > b.revision;
+}
+
 }  // namespace
 
 PlantTable::Change PlantTable::update(const ReportSource& source,
                                       const std::vector<Phenotype>& plants) {
-  const auto [found, first] = reports_.try_emplace({source.block, source.began_ns});
-  Known& known = found->second;
-  const std::pair<std::uint64_t, std::uint32_t> newest{known.stamp_ns, known.revision};
-  if (!first && std::make_pair(source.stamp_ns, source.revision) < newest) return {};
-  known.stamp_ns = source.stamp_ns;
-  known.revision = source.revision;
-
-  std::vector<std::int32_t> ids;
+  // What was said of the block in the same pass, by this process or one before it.
+  std::vector<Said> earlier;
+  std::vector<Said>& said = reports_[source.block];
+  for (const Said& other : said) {
+    if (!ofOnePass(other.source, source)) continue;
+    if (isNewer(other.source, source)) return {};
+    earlier.push_back(other);
+  }
+  said.erase(std::remove_if(said.begin(), said.end(),
+                            [&](const Said& other) { return ofOnePass(other.source, source); }),
+             said.end());
+  said.push_back({source, {}});
   for (const Phenotype& plant : plants) {
     put(source, plant);
-    ids.push_back(plant.id);
+    said.back().ids.insert(plant.id);
   }
   Change change;
   change.accepted = true;
-  for (const std::int32_t id : known.ids) {
-    if (std::find(ids.begin(), ids.end(), id) != ids.end()) continue;
-    if (takeBack(source, id)) change.removed.push_back(id);
+  for (const Said& other : earlier) {
+    for (const std::int32_t id : other.ids) {
+      if (said.back().ids.count(id) > 0U) continue;
+      if (takeBack(other.source, id)) change.removed.push_back(id);
+    }
   }
-  known.ids = std::move(ids);
   return change;
 }
 

@@ -3,7 +3,6 @@
 #include <cstdint>
 #include <map>
 #include <set>
-#include <utility>
 #include <vector>
 
 #include "field_phenotyping/measurement/phenotype.hpp"
@@ -59,10 +58,9 @@ class PlantTable {
     Phenotype fused;
     BlockIndex block;  ///< that reported it last: a plant near a border may change sides
   };
-  struct Known {
-    std::uint64_t stamp_ns = 0U;
-    std::uint32_t revision = 0U;
-    std::vector<std::int32_t> ids;
+  struct Said {
+    ReportSource source;
+    std::set<std::int32_t> ids;
   };
 
   void put(const ReportSource& source, const Phenotype& plant);
@@ -71,7 +69,7 @@ class PlantTable {
 
   std::map<std::int32_t, Entry> plants_;
   std::map<BlockIndex, std::set<std::int32_t>> by_block_;
-  std::map<std::pair<BlockIndex, std::uint64_t>, Known> reports_;  // newest of each pass
+  std::map<BlockIndex, std::vector<Said>> reports_;  // newest of each pass
 };
 
 }  // namespace field_phenotyping

@@ -107,6 +107,15 @@ TEST(PlantTable, ABagThatIsPlayedAgainAddsNothing) {
   EXPECT_EQ(table.plants()[0].height.value, 1.0);
 }
 
+TEST(PlantTable, ARunThatSeesTheSameScansAgainTakesBackWhatAKilledOneThought) {
+  PlantTable table;
+  table.update(source({0, 0}, 1U, 10U, 12U), {plant(1, 1.0), plant(2, 0.3)});
+  // Killed; the new process missed the first scans, and sees more than the old one did.
+  EXPECT_EQ(table.update(source({0, 0}, 1U, 11U, 20U), {plant(1, 1.0)}).removed,
+            std::vector<std::int32_t>{2});
+  EXPECT_EQ(table.size(), 1U);
+}
+
 TEST(PlantTable, SaysWhichPlantsTheRegistryShouldKnow) {
   PlantTable table;
   table.update(source({0, 0}, 1U, 10U, 20U), {plant(7, 1.0)});

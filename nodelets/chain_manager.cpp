@@ -1,0 +1,41 @@
+// A nodelet manager that has the four stages loaded from the start. One process: whatever ends it,
+// starting it again brings the whole chain back, where loaders beside a manager that dies while
+// they load wait for good. More nodelets may be loaded into it, as into any manager.
+#include <nodelet/loader.h>
+#include <ros/ros.h>
+
+#include <string>
+
+namespace {
+
+struct StageEntry {
+  const char* name;
+  const char* type;
+  const char* input;  // relative to the manager's namespace
+};
+
+constexpr StageEntry kStages[] = {
+    {"measurement", "field_phenotyping/Measurement", "completion/output"},
+    {"completion", "field_phenotyping/Completion", "segmentation/output"},
+    {"segmentation", "field_phenotyping/Segmentation", "preprocessing/output"},
+    {"preprocessing", "field_phenotyping/Preprocessing", nullptr},
+};
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "manager");
+  const ros::NodeHandle pnh("~");
+  const std::string points_topic = pnh.param<std::string>("points_topic", "/points");
+  nodelet::Loader loader;
+  for (const StageEntry& stage : kStages) {
+    const std::string name = ros::names::resolve(std::string(stage.name));
+    const std::string input = ros::names::resolve(stage.input ? stage.input : points_topic);
+    if (!loader.load(name, stage.type, {{name + "/input", input}}, {})) {
+      ROS_FATAL_STREAM(name << " could not be loaded");
+      return 1;
+    }
+  }
+  ros::spin();
+  return 0;
+}
