@@ -112,6 +112,15 @@ void addRoverOptions(CLI::App& app, simulation::SimulationSettings& settings) {
   add(app, "--pose-noise", settings.rover.pose_noise, "m",
       "Standard deviation of each coordinate of the slowly varying error of the localisation",
       group);
+  add(app, "--passes", settings.rover.passes, "count",
+      "Times that the rover goes over the field: back and forth, over the lanes beside those of "
+      "the "
+      "pass before",
+      group);
+  add(app, "--map-shift", settings.rover.map_shift, "m",
+      "Shift of the localisation's map after each pass, in a random horizontal direction from the "
+      "first pass's; the merged cloud is blurred by as much",
+      group);
   add(app, "--origin-x", settings.origin.x(), "m", "Map x of the first plant's nominal place",
       group);
   add(app, "--origin-y", settings.origin.y(), "m", "Map y of the first plant's nominal place",

@@ -390,6 +390,33 @@ TEST(Trajectory, DrivesEveryLane) {
   EXPECT_GT(previous_step, 0.0);
 }
 
+TEST(Trajectory, PassesAgainFromTheOtherSideInAMapThatHasMoved) {
+  SimulationSettings settings = smallSimulation();  // two rows
+  const Field field = growField(settings.field, 1);
+  RoverSettings rover;
+  rover.speed = 1.0;
+  rover.sway_stddev_deg = 0.0;
+  rover.lane_every = 2;
+  rover.passes = 2;
+  rover.map_shift = 0.1;
+  const Trajectory trajectory(field, rover, 1);
+  // Lanes 0 and 2, then 3 and 1.
+  const double lane = 0.6 + 1.0;
+  EXPECT_NEAR(trajectory.length(), 4.0 * lane + M_PI * (0.75 + 0.375 + 0.75), 1e-9);
+  const double second = 2.0 * lane + M_PI * (0.75 + 0.375);
+  EXPECT_NEAR(trajectory.pose(second + 0.5 * lane).translation().y(), 2.5 * 0.75, 1e-6);
+  EXPECT_NEAR(trajectory.pose(trajectory.duration()).translation().y(), 0.5 * 0.75, 1e-6);
+  ASSERT_EQ(trajectory.shifts().size(), 2U);
+  const Trajectory::Shift& shift = trajectory.shifts()[1];
+  EXPECT_NEAR(shift.shift.norm(), 0.1, 1e-9);
+  for (const double time : {shift.time - 0.01, shift.time + 0.01}) {
+    const Eigen::Vector3d off =
+        trajectory.estimatedPose(time).translation() - trajectory.pose(time).translation();
+    EXPECT_NEAR((off.head<2>() - (time < shift.time ? Eigen::Vector2d(0, 0) : shift.shift)).norm(),
+                0.0, 1e-9);
+  }
+}
+
 TEST(Writers, CloudFarFromTheOriginIsInDoublePrecision) {
   SimulationSettings settings = smallSimulation();
   settings.target_points = 5000;

@@ -35,11 +35,18 @@ Json fieldJson(const FieldSettings& field) {
 }
 
 Json roverJson(const RoverSettings& rover) {
-  return {{"speed_m_per_s", rover.speed},
-          {"lane_every", rover.lane_every},
-          {"headland_m", rover.headland},
-          {"sway_stddev_deg", rover.sway_stddev_deg},
-          {"pose_noise_m", rover.pose_noise}};
+  return {{"speed_m_per_s", rover.speed},     {"lane_every", rover.lane_every},
+          {"headland_m", rover.headland},     {"sway_stddev_deg", rover.sway_stddev_deg},
+          {"pose_noise_m", rover.pose_noise}, {"passes", rover.passes},
+          {"map_shift_m", rover.map_shift}};
+}
+
+Json shiftsJson(const Trajectory& trajectory) {
+  Json shifts = Json::array();
+  for (const Trajectory::Shift& pass : trajectory.shifts()) {
+    shifts.push_back({{"time_s", pass.time}, {"x_m", pass.shift.x()}, {"y_m", pass.shift.y()}});
+  }
+  return shifts;
 }
 
 Json lidarJson(const LidarSettings& lidar) {
@@ -74,6 +81,7 @@ void writeSettings(const Simulation& simulation, const std::string& path) {
                      {"field", fieldJson(settings.field)},
                      {"rover", roverJson(settings.rover)},
                      {"lidar", lidarJson(settings.lidar)},
+                     {"map_shifts", shiftsJson(*simulation.trajectory)},
                      {"totals",
                       {{"plants", simulation.field->plants.size()},
                        {"triangles", simulation.field->mesh.triangles.size()},

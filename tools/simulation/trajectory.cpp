@@ -33,13 +33,27 @@ Trajectory::Trajectory(const Field& field, const RoverSettings& settings, std::u
   const double lane_length = field.length + 2.0 * settings.headland;
   const double lane_distance = field.settings.row_spacing * settings.lane_every;
   segments_.push_back({{-settings.headland, -0.5 * field.settings.row_spacing}, 0.0, 0.0, 0.0});
+  const std::int32_t lanes = field.settings.rows / settings.lane_every + 1;
   double side = 1.0;
-  for (std::int32_t lane = 0; lane <= field.settings.rows; lane += settings.lane_every) {
-    if (lane > 0) {
-      addSegment(0.5 * M_PI * lane_distance, side * 2.0 / lane_distance);
-      side = -side;
+  const auto turn = [&](double distance) {
+    addSegment(0.5 * M_PI * distance, side * 2.0 / distance);
+    side = -side;
+  };
+  RandomStream directions(seed, Stream::kPoseNoise, 1);
+  for (std::int32_t pass = 0; pass < settings.passes; ++pass) {
+    shifts_.push_back({Eigen::Vector2d::Zero(), 0.0});
+    if (pass > 0) {
+      turn(field.settings.row_spacing);
+      side = -side;  // back over the field
+      const double direction = directions.uniform(0.0, 2.0 * M_PI);
+      shifts_.back() = {
+          settings.map_shift * Eigen::Vector2d(std::cos(direction), std::sin(direction)),
+          length_ / settings.speed};
     }
-    addSegment(lane_length, 0.0);
+    for (std::int32_t lane = 0; lane < lanes; ++lane) {
+      if (lane > 0) turn(lane_distance);
+      addSegment(lane_length, 0.0);
+    }
   }
 
   const auto oscillations = [](RandomStream& random, double stddev, double slowest,
@@ -105,7 +119,11 @@ Eigen::Isometry3d Trajectory::pose(double time) const {
 Eigen::Isometry3d Trajectory::estimatedPose(double time) const {
   const Eigen::Vector3d error(evaluate(error_[0], time), evaluate(error_[1], time),
                               evaluate(error_[2], time));
-  return Eigen::Translation3d(error) * pose(time);
+  Eigen::Vector2d shift = Eigen::Vector2d::Zero();
+  for (const Shift& pass : shifts_) {
+    if (time >= pass.time) shift = pass.shift;
+  }
+  return Eigen::Translation3d(error + Eigen::Vector3d(shift.x(), shift.y(), 0.0)) * pose(time);
 }
 
 void validate(const RoverSettings& settings) {
@@ -119,6 +137,8 @@ void validate(const RoverSettings& settings) {
   require(settings.headland >= 0.0, "the headland must not be negative");
   require(settings.sway_stddev_deg >= 0.0 && settings.sway_stddev_deg <= 15.0,
           "the sway must be 0 to 15 deg");
+  require(settings.passes >= 1, "the rover must pass at least once");
+  require(settings.map_shift >= 0.0, "the shift of the map must not be negative");
   require(settings.pose_noise >= 0.0, "the pose noise must not be negative");
 }
 

@@ -15,12 +15,16 @@ struct RoverSettings {
   double headland = 0.5;         ///< driven beyond the first and last plant [m]
   double sway_stddev_deg = 0.7;  ///< of roll and of pitch [deg]
   double pose_noise = 0.0;       ///< of each coordinate of the estimated position, slow [m]
+  std::int32_t passes = 1;       ///< times over the field
+  double map_shift = 0.0;        ///< of the estimated map from pass to pass, horizontal [m]
 };
 
 /// @brief The rover's path: lane after lane, back and forth, half circles between.
 ///
 /// Lane 0 lies half a row spacing outside the first row, the next ones between rows, the last one
-/// outside the last row. Frame: local map frame. Time in seconds from the start.
+/// outside the last row. The next pass comes back over the lanes beside those of the pass before,
+/// and with every other lane driven sees each row from its other side. Frame: local map frame. Time
+/// in seconds from the start.
 class Trajectory {
  public:
   Trajectory(const Field& field, const RoverSettings& settings, std::uint64_t seed);
@@ -31,8 +35,17 @@ class Trajectory {
   /// @return Where the rover is: x forwards, z up, on the soil. T_map_base.
   Eigen::Isometry3d pose(double time) const;
 
-  /// @return Where the localisation believes it to be, as on /tf: pose() plus a slow error.
+  /// @return Where the localisation believes it to be, as on /tf: pose() plus a slow error and,
+  /// from the second pass on, the shift of the map.
   Eigen::Isometry3d estimatedPose(double time) const;
+
+  /// Of the map since the first pass [m], and when it takes effect [s].
+  struct Shift {
+    Eigen::Vector2d shift;
+    double time;
+  };
+  /// One a pass; the first is none.
+  const std::vector<Shift>& shifts() const { return shifts_; }
 
  private:
   struct Segment {
@@ -56,6 +69,7 @@ class Trajectory {
   double length_ = 0.0;
   std::vector<Oscillation> roll_, pitch_;
   std::vector<Oscillation> error_[3];
+  std::vector<Shift> shifts_;
 };
 
 /// @throws std::invalid_argument Naming the setting and its range.
