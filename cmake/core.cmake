@@ -8,6 +8,8 @@ target_include_directories(field_phenotyping_core PUBLIC
 target_link_libraries(field_phenotyping_core
   PUBLIC Eigen3::Eigen
   PRIVATE $<BUILD_INTERFACE:field_phenotyping_warnings>)
+# Square roots and roundings inline: nobody asks for errno or floating-point exceptions.
+target_compile_options(field_phenotyping_core PRIVATE -fno-math-errno -fno-trapping-math)
 if(TARGET TBB::tbb)
   target_link_libraries(field_phenotyping_core PRIVATE TBB::tbb)
   target_compile_definitions(field_phenotyping_core PRIVATE FIELD_PHENOTYPING_WITH_TBB)
