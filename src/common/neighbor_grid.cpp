@@ -75,10 +75,13 @@ NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cel
     for (std::size_t k = 0; k < order_.size(); ++k) rows_[k] = row_of[order_[k]];
   }
   cell_x_.resize(points.size());
-  points_.resize(points.size());
+  for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(points.size() + kLanes);
   for (std::size_t k = 0; k < order_.size(); ++k) {
+    const Eigen::Vector3f& point = points[order_[k]];
     cell_x_[k] = cell_x[order_[k]];
-    points_[k] = points[order_[k]];
+    x_[k] = point.x();
+    y_[k] = point.y();
+    z_[k] = point.z();
   }
 }
 

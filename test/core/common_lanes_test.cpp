@@ -32,6 +32,10 @@ TEST(Lanes, ChooseAddAndAsk) {
   EXPECT_EQ(total(largerOf(values, allOf(1.0F))), 6.0F);
   EXPECT_TRUE(anyOf(values > 2.0F));
   EXPECT_FALSE(anyOf(values > 3.0F));
+  EXPECT_EQ(bitsOf(values > 0.6F), 0b0101U);
+  EXPECT_EQ(bitsOf(values < 0.0F), 0b0010U);
+  EXPECT_EQ(bitsOf(values < 0.6F), 0b1010U);
+  EXPECT_EQ(bitsOf(values > 3.0F), 0U);
 }
 
 }  // namespace

@@ -43,6 +43,18 @@ inline bool anyOf(const Integers& holds) {
   return (holds[0] | holds[1] | holds[2] | holds[3]) != 0;
 }
 
+/// A bit for each lane in which a comparison holds, that of the first lane lowest.
+inline unsigned bitsOf(const Integers& holds) {
+#ifdef __SSE__
+  Floats lanes;  // of which the instruction takes the signs
+  std::memcpy(&lanes, &holds, sizeof lanes);
+  return static_cast<unsigned>(__builtin_ia32_movmskps(lanes));
+#else
+  return (static_cast<unsigned>(holds[0]) & 1U) | (static_cast<unsigned>(holds[1]) & 2U) |
+         (static_cast<unsigned>(holds[2]) & 4U) | (static_cast<unsigned>(holds[3]) & 8U);
+#endif
+}
+
 /// The larger value of each lane.
 inline Floats largerOf(const Floats& a, const Floats& b) {
   return a > b ? a : b;

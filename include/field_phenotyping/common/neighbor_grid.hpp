@@ -8,6 +8,8 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/lanes.hpp"
+
 namespace field_phenotyping {
 
 /// Fixed-radius neighbour search: points sorted by cubic cell, so that a query of radius <= cell
@@ -33,12 +35,17 @@ class NeighborGrid {
   /// The same with visit(index, point - center, squared distance), in the same order.
   template <class Visit>
   void forEachOffsetWithin(const Eigen::Vector3f& center, float radius, Visit&& visit) const {
-    const float squared_radius = radius * radius;
     forEachRun(center, center, radius, [&](const Run& run) {
-      for (std::uint32_t k = run.begin; k < run.end; ++k) {
-        const Eigen::Vector3f offset = points_[k] - center;
-        const float squared_distance = offset.squaredNorm();
-        if (squared_distance <= squared_radius) visit(order_[k], offset, squared_distance);
+      for (std::uint32_t k = run.begin; k < run.end; k += kLanes) {
+        const Floats lanes = squaredDistances(center, k);
+        std::array<float, kLanes> squared;
+        store(lanes, squared.data());
+        for (unsigned near = nearAmong(lanes, radius, run, k); near != 0U; near &= near - 1U) {
+          const auto lane = static_cast<std::uint32_t>(__builtin_ctz(near));
+          const Eigen::Vector3f offset =
+              Eigen::Vector3f(x_[k + lane], y_[k + lane], z_[k + lane]) - center;
+          visit(order_[k + lane], offset, squared[lane]);
+        }
       }
       return true;
     });
@@ -46,11 +53,12 @@ class NeighborGrid {
 
   /// Whether at least `count` points lie within `radius` of `center`. Looks at no more than needed.
   bool hasWithin(const Eigen::Vector3f& center, float radius, std::uint32_t count) const {
-    const float squared_radius = radius * radius;
+    constexpr std::array<std::uint8_t, 1U << kLanes> kBits{0U, 1U, 1U, 2U, 1U, 2U, 2U, 3U,
+                                                           1U, 2U, 2U, 3U, 2U, 3U, 3U, 4U};
     std::uint32_t found = 0U;
     forEachRun(center, center, radius, [&](const Run& run) {
-      for (std::uint32_t k = run.begin; k < run.end; ++k) {
-        if ((points_[k] - center).squaredNorm() <= squared_radius) ++found;
+      for (std::uint32_t k = run.begin; k < run.end && found < count; k += kLanes) {
+        found += kBits[nearAmong(squaredDistances(center, k), radius, run, k)];
       }
       return found < count;
     });
@@ -63,7 +71,9 @@ class NeighborGrid {
   void forEachNearBox(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float radius,
                       Visit&& visit) const {
     forEachRun(low, high, radius, [&](const Run& run) {
-      for (std::uint32_t k = run.begin; k < run.end; ++k) visit(order_[k], points_[k]);
+      for (std::uint32_t k = run.begin; k < run.end; ++k) {
+        visit(order_[k], Eigen::Vector3f(x_[k], y_[k], z_[k]));
+      }
       return true;
     });
   }
@@ -75,13 +85,13 @@ class NeighborGrid {
     forEachWithin(center, radius, [&](std::uint32_t i, float) { found.push_back(i); });
   }
 
-  std::size_t size() const { return points_.size(); }
+  std::size_t size() const { return order_.size(); }
 
   /// Source index of the k-th point by cells: neighbours in this order are near in space.
   std::uint32_t sorted(std::size_t k) const { return order_[k]; }
   /// Whether the k-th point by cells and another one lie in one cell.
   bool inOneCell(std::size_t k, std::size_t other) const {
-    return cellsOf(points_[k]) == cellsOf(points_[other]);
+    return cellsOf({x_[k], y_[k], z_[k]}) == cellsOf({x_[other], y_[other], z_[other]});
   }
 
  private:
@@ -90,12 +100,27 @@ class NeighborGrid {
     std::uint32_t end;
   };
 
+  /// Squared distances of kLanes sorted points from a place.
+  Floats squaredDistances(const Eigen::Vector3f& center, std::size_t first) const {
+    const Floats x = loadFloats(&x_[first]) - center.x();
+    const Floats y = loadFloats(&y_[first]) - center.y();
+    const Floats z = loadFloats(&z_[first]) - center.z();
+    return x * x + (y * y + z * z);
+  }
+  /// A bit for each of those that lie within `radius` and in the run.
+  static unsigned nearAmong(const Floats& squared, float radius, const Run& run,
+                            std::uint32_t first) {
+    const unsigned near = bitsOf(squared <= radius * radius);
+    const std::uint32_t left = run.end - first;
+    return left < kLanes ? near & ((1U << left) - 1U) : near;
+  }
+
   /// Calls visit(run) for runs of sorted points that hold all within `radius` of [low, high], while
   /// it returns true.
   template <class Visit>
   void forEachRun(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float radius,
                   Visit&& visit) const {
-    if (points_.empty()) return;
+    if (order_.empty()) return;
     const float reach = radius + slack_;
     const int low_z = cellAt(low.z() - reach, 2);
     const int high_z = cellAt(high.z() + reach, 2);
@@ -148,9 +173,12 @@ class NeighborGrid {
   Eigen::Array3f corner_ = Eigen::Array3f::Zero();
   Eigen::Array3f last_ = Eigen::Array3f::Zero();  // cell along each axis
   std::size_t rows_y_ = 1U;
-  std::vector<int> cell_x_;              // of each sorted point
-  std::vector<std::uint32_t> order_;     // source index of each sorted point
-  std::vector<Eigen::Vector3f> points_;  // sorted
+  std::vector<int> cell_x_;           // of each sorted point
+  std::vector<std::uint32_t> order_;  // source index of each sorted point
+  // The sorted points, padded so that the last lanes can be loaded.
+  std::vector<float> x_;
+  std::vector<float> y_;
+  std::vector<float> z_;
   // Where the points of 2^bucket_shift_ cells of a row begin, if they are not too many buckets, or
   // else the row of each sorted point.
   std::vector<std::uint32_t> begin_;
