@@ -55,13 +55,13 @@ std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& p
         high = high.cwiseMax(points[grid.sorted(next)]);
       }
       candidates.clear();
-      grid.forEachNearBox(low, high, radius, [&](std::uint32_t, const Eigen::Vector3f& point) {
-        candidates.add(point, 0);
-      });
+      grid.forEachRunNearBox(
+          low, high, radius,
+          [&](const NeighborGrid::Coordinates& run) { candidates.add(run); });
       candidates.close();
       for (; k < next; ++k) {
         const std::uint32_t i = grid.sorted(k);
-        shapes[i] = shapeOf(candidates.momentsAbout(points[i], radius, 0));
+        shapes[i] = shapeOf(candidates.momentsAbout(points[i], radius));
       }
     }
   });

@@ -78,6 +78,24 @@ class NeighborGrid {
     });
   }
 
+  /// Some of the points, coordinate by coordinate, in an order that depends only on the points.
+  /// kLanes values can be loaded from any of them.
+  struct Coordinates {
+    const float* x;
+    const float* y;
+    const float* z;
+    std::size_t count;
+  };
+  /// Calls visit(coordinates) for runs of the points that forEachNearBox() visits.
+  template <class Visit>
+  void forEachRunNearBox(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float radius,
+                         Visit&& visit) const {
+    forEachRun(low, high, radius, [&](const Run& run) {
+      visit(Coordinates{&x_[run.begin], &y_[run.begin], &z_[run.begin], run.end - run.begin});
+      return true;
+    });
+  }
+
   /// Indices of the points within `radius` of `center`, appended to the emptied `found`.
   void within(const Eigen::Vector3f& center, float radius,
               std::vector<std::uint32_t>& found) const {
