@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 
+#include "field_phenotyping/common/lanes.hpp"
 #include "field_phenotyping/common/median.hpp"
 
 namespace field_phenotyping {
@@ -40,62 +41,132 @@ float normalDensity(float off, float spread) {
   return 0.39894228F / spread * std::exp(-0.5F * z * z);
 }
 
-/// What a leaf base does to a place: points of its own, and stem that it hides.
+/// kLanes places at once.
+struct PlaceLanes {
+  Floats arc_length;
+  Floats azimuth;
+  Floats distance;
+  Floats radius;
+};
+
+/// Places by arc length, coordinate by coordinate; padded so that the last lanes can be loaded.
+class Places {
+ public:
+  Places() = default;
+  /// @param places by arc length
+  explicit Places(const std::vector<Place>& places) : count_(places.size()) {
+    for (std::vector<float>* values : {&arc_length_, &azimuth_, &distance_, &radius_}) {
+      values->assign(count_ + kLanes, 0.0F);
+    }
+    for (std::size_t i = 0; i < count_; ++i) {
+      arc_length_[i] = places[i].arc_length;
+      azimuth_[i] = places[i].azimuth;
+      distance_[i] = places[i].distance;
+      radius_[i] = places[i].radius;
+    }
+  }
+
+  bool empty() const { return count_ == 0U; }
+  std::size_t size() const { return count_; }
+  Place operator[](std::size_t i) const {
+    return {arc_length_[i], azimuth_[i], distance_[i], radius_[i]};
+  }
+  PlaceLanes lanesFrom(std::size_t i) const {
+    return {loadFloats(&arc_length_[i]), loadFloats(&azimuth_[i]), loadFloats(&distance_[i]),
+            loadFloats(&radius_[i])};
+  }
+
+  /// Index of the first place at that arc length or above.
+  std::size_t firstAt(float arc_length) const {
+    const auto end = arc_length_.begin() + static_cast<std::ptrdiff_t>(count_);
+    return static_cast<std::size_t>(std::lower_bound(arc_length_.begin(), end, arc_length) -
+                                    arc_length_.begin());
+  }
+  /// Index of the first place above that arc length.
+  std::size_t firstAbove(float arc_length) const {
+    const auto end = arc_length_.begin() + static_cast<std::ptrdiff_t>(count_);
+    return static_cast<std::size_t>(std::upper_bound(arc_length_.begin(), end, arc_length) -
+                                    arc_length_.begin());
+  }
+
+ private:
+  std::size_t count_ = 0U;
+  std::vector<float> arc_length_;
+  std::vector<float> azimuth_;
+  std::vector<float> distance_;
+  std::vector<float> radius_;
+};
+
+/// Which of the lanes from `i` on lie before `end`.
+Integers lanesBefore(std::size_t i, std::size_t end) {
+  return Integers{0, 1, 2, 3} < static_cast<std::int32_t>(end - i);
+}
+
+/// What a leaf base does to places: points of its own, and stem that it hides.
 struct Influence {
-  float leaf = 0.0F;    // density across its sheet [1/m], for a stem's density of 1
-  float hidden = 0.0F;  // [0, 1] of the stem
+  Floats leaf{};    // density across its sheet [1/m], for a stem's density of 1
+  Floats hidden{};  // [0, 1] of the stem
 };
 
 /// A leaf's points on its area, to those of as much stem: it shows both of its sides.
-float leafDensity(float above) {
+Floats leafDensity(const Floats& above) {
   constexpr float kFoot = 1.5F;
   constexpr float kMore = 1.5F;
   constexpr float kFull = 0.03F;  // [m] above the foot
-  return kFoot + kMore * std::clamp(above / kFull, 0.0F, 1.0F);
+  return kFoot + kMore * clampedTo(above * (1.0F / kFull), 0.0F, 1.0F);
 }
 
 /// Share of the stem that is seen behind a leaf so far off it.
-float seenPast(float beyond) {
+template <class Value>
+Value seenPast(const Value& beyond) {
   constexpr float kHalf = 0.025F;  // [m]
   return beyond / (kHalf + beyond);
 }
 
 /// Half of the angle that a leaf takes up round the stem [rad]: a foot is wrapped round half of it,
 /// and the blade flattens as it leaves.
-float halfAngle(float radius, float up, float beyond) {
+Floats halfAngle(const Floats& radius, const Floats& up, const Floats& beyond) {
   constexpr float kWiden = 0.3F;  // half width gained per metre along the stem
-  return std::asin(std::min((radius + kWiden * up) / (radius + beyond), 1.0F));
+  return arcsineOf(smallerOf((radius + kWiden * up) / (radius + beyond), allOf(1.0F)));
 }
 
-Influence influenceOf(const LeafBase& base, const Place& place, float spread) {
-  Influence influence;
-  const float above = place.arc_length - base.arc_length;
-  const float blur = std::sqrt(spread * spread + kLeafSpread * kLeafSpread);
-  if (above < -2.0F * blur || above > kLongest) return influence;
+float blurOf(float spread) {
+  return std::sqrt(spread * spread + kLeafSpread * kLeafSpread);
+}
+
+Influence influenceOf(const LeafBase& base, const PlaceLanes& place, float blur) {
   constexpr float kHidesAll = 1.0F;  // [rad] from its midrib a clasping leaf hides what it can
   constexpr float kHidesNone = 1.75F;
-  const float turn = std::abs(turned(place.azimuth - base.azimuth));
-  if (turn > kHidesNone) return influence;
-  const float up = std::max(above, 0.0F);
-  const float beyond = base.slope * up;
-  const float begun = std::clamp(0.5F + above / (2.0F * blur), 0.0F, 1.0F);
-  influence.hidden = begun *
-                     std::clamp((kHidesNone - turn) / (kHidesNone - kHidesAll), 0.0F, 1.0F) *
-                     (1.0F - std::min(base.sight * seenPast(beyond), 1.0F));
   constexpr float kFarthest = 4.0F;  // blurs off the sheet
+  constexpr float kSoft = 0.25F;     // [rad]
+  const Floats none{};
+  const Floats above = place.arc_length - base.arc_length;
+  const Floats apart = magnitudeOf(place.azimuth - base.azimuth);
+  const Floats turn = smallerOf(apart, 2.0F * kPi - apart);
+  const Integers counts = (above >= -2.0F * blur) & (above <= kLongest) & (turn <= kHidesNone);
+  const Floats up = largerOf(above, none);
+  const Floats beyond = base.slope * up;
+  const Floats begun = clampedTo(0.5F + above * (0.5F / blur), 0.0F, 1.0F);
+  constexpr float kPerTurn = 1.0F / (kHidesNone - kHidesAll);
+  const Floats hidden = begun * clampedTo((kHidesNone - turn) * kPerTurn, 0.0F, 1.0F) *
+                        (1.0F - smallerOf(base.sight * seenPast(beyond), allOf(1.0F)));
   const float cosine = 1.0F / std::sqrt(1.0F + base.slope * base.slope);
-  const float off = (place.distance - place.radius - beyond) * cosine;
-  if (std::abs(off) > kFarthest * blur) return influence;
-  constexpr float kSoft = 0.25F;  // [rad]
-  const float half = halfAngle(place.radius, up, beyond);
-  const float margin = std::clamp(0.5F + (half - turn) / (2.0F * kSoft), 0.0F, 1.0F);
-  influence.leaf = leafDensity(up) * margin * begun * normalDensity(off, blur);
+  const Floats off = (place.distance - place.radius - beyond) * (cosine / blur);  // in blurs
+  const Integers near = counts & (off * off <= kFarthest * kFarthest);
+  Influence influence;
+  influence.hidden = counts ? hidden : none;
+  if (!anyOf(near)) return influence;
+  const Floats half = halfAngle(place.radius, up, beyond);
+  const Floats margin = clampedTo(0.5F + (half - turn) * (0.5F / kSoft), 0.0F, 1.0F);
+  constexpr float kInverseRootTwoPi = 0.39894228F;
+  const Floats density = kInverseRootTwoPi / blur * exponentialOf(near ? -0.5F * off * off : none);
+  influence.leaf = near ? leafDensity(up) * margin * begun * density : none;
   return influence;
 }
 
 /// What is known of the points round a stem before any leaf is.
 struct Surroundings {
-  std::vector<Place> places;  // by arc length
+  Places places;
   float spread = 0.003F;
   float stem_density = 0.0F;  // [1/m^2] of the surface
   float clutter = 0.0F;       // [1/m^3] beside it
@@ -173,11 +244,11 @@ class Votes {
 class Search {
  public:
   explicit Search(Surroundings surroundings) : around_(std::move(surroundings)) {
-    hidden_.assign(around_.places.size(), 0.0F);
-    leaves_.assign(around_.places.size(), 0.0F);
-    for (const Place& place : around_.places) {
-      stem_.push_back(around_.stem_density *
-                      stemDensity(place.distance, place.radius, around_.spread));
+    const std::size_t padded = around_.places.size() + kLanes;
+    for (std::vector<float>* values : {&stem_, &hidden_, &leaves_}) values->assign(padded, 0.0F);
+    for (std::size_t i = 0; i < around_.places.size(); ++i) {
+      const Place place = around_.places[i];
+      stem_[i] = around_.stem_density * stemDensity(place.distance, place.radius, around_.spread);
     }
     if (!around_.places.empty()) radius_ = around_.places[around_.places.size() / 2U].radius;
   }
@@ -236,10 +307,12 @@ class Search {
     if (around_.places.empty()) return found;
     constexpr float kClear = 2.0F;  // spreads beyond the surface
     constexpr float kLeastVotes = 2.5F;
-    Votes votes(around_.places.front().arc_length - kLongest, around_.places.back().arc_length);
+    const Places& places = around_.places;
+    Votes votes(places[0U].arc_length - kLongest, places[places.size() - 1U].arc_length);
     for (const float slope : kSlopes) {
       votes.clear();
-      for (const Place& place : around_.places) {
+      for (std::size_t i = 0; i < places.size(); ++i) {
+        const Place place = places[i];
         const float beyond = place.distance - place.radius;
         if (beyond < kClear * around_.spread || beyond > slope * kLongest) continue;
         votes.add(place.arc_length - beyond / slope, place.azimuth);
@@ -256,43 +329,38 @@ class Search {
     return found;
   }
 
-  std::size_t firstAt(float arc_length) const {
-    return static_cast<std::size_t>(
-        std::lower_bound(around_.places.begin(), around_.places.end(), arc_length,
-                         [](const Place& place, float s) { return place.arc_length < s; }) -
-        around_.places.begin());
-  }
-
   float evidenceOf(const LeafBase& base) const { return evidenceWithin(base, LeafBases::kReach); }
 
   /// Log likelihood gained where the leaf is so near to the surface.
   float evidenceWithin(const LeafBase& base, float reach) const {
-    const float spread = around_.spread;
     const float tallest = std::min(kLongest, reach / base.slope);
+    const float blur = blurOf(around_.spread);
+    const std::size_t first = around_.places.firstAt(base.arc_length - 2.0F * around_.spread);
+    const std::size_t end = around_.places.firstAbove(base.arc_length + tallest);
+    if (first >= end) return 0.0F;
     double sum = 0.0;
     double odds = 1.0;
-    float radius = 0.0F;
-    std::size_t i = firstAt(base.arc_length - 2.0F * spread);
-    for (; i < around_.places.size(); ++i) {
-      const Place& place = around_.places[i];
-      if (place.arc_length > base.arc_length + tallest) break;
-      radius = place.radius;
-      if (place.distance - place.radius > reach) continue;
-      const Influence influence = influenceOf(base, place, spread);
-      if (!(influence.leaf > 0.0F) && !(influence.hidden > 0.0F)) continue;
-      const float others = leaves_[i] + around_.clutter;
-      const float before = (1.0F - hidden_[i]) * stem_[i] + others;
-      const float after = (1.0F - std::max(hidden_[i], influence.hidden)) * stem_[i] + others +
-                          around_.stem_density * influence.leaf;
+    for (std::size_t i = first; i < end; i += kLanes) {
+      const PlaceLanes place = around_.places.lanesFrom(i);
+      const Integers counts = lanesBefore(i, end) & (place.distance - place.radius <= reach);
+      const Influence influence = influenceOf(base, place, blur);
+      const Floats stem = loadFloats(&stem_[i]);
+      const Floats hidden = loadFloats(&hidden_[i]);
+      const Floats others = loadFloats(&leaves_[i]) + around_.clutter;
+      const Floats before = (1.0F - hidden) * stem + others;
+      const Floats after = (1.0F - largerOf(hidden, influence.hidden)) * stem + others +
+                           around_.stem_density * influence.leaf;
       // One logarithm for many points.
-      odds *= static_cast<double>(after / before);
+      const Floats gained = counts ? after / before : allOf(1.0F);
+      odds *=
+          static_cast<double>(gained[0] * gained[1]) * static_cast<double>(gained[2] * gained[3]);
       constexpr double kMost = 1e200;
       if (odds > kMost || odds < 1.0 / kMost) {
         sum += std::log(odds);
         odds = 1.0;
       }
     }
-    if (!(radius > 0.0F)) return 0.0F;
+    const float radius = around_.places[end - 1U].radius;
     return static_cast<float>(sum + std::log(odds)) +
            around_.stem_density *
                (hiddenBy(base, radius, tallest) - sheetOf(base, radius, tallest));
@@ -301,27 +369,31 @@ class Search {
   /// Points that a leaf adds up to there, of a stem's density of 1 [m^2].
   static float sheetOf(const LeafBase& base, float radius, float tallest) {
     const float steepness = std::sqrt(1.0F + base.slope * base.slope);
-    return steepness * sumUp(tallest, [&](float up) {
-             const float beyond = base.slope * up;
-             return leafDensity(up) * 2.0F * halfAngle(radius, up, beyond) * (radius + beyond);
+    return steepness * sumUp(tallest, [&](const Floats& up) {
+             const Floats beyond = base.slope * up;
+             return leafDensity(up) * 2.0F * halfAngle(allOf(radius), up, beyond) *
+                    (radius + beyond);
            });
   }
 
   /// Points that it hides.
   static float hiddenBy(const LeafBase& base, float radius, float tallest) {
     constexpr float kHiddenArc = 2.75F;  // [rad], what the shares of it add up to
-    return kHiddenArc * radius * sumUp(tallest, [&](float up) {
-             return 1.0F - std::min(base.sight * seenPast(base.slope * up), 1.0F);
+    return kHiddenArc * radius * sumUp(tallest, [&](const Floats& up) {
+             return 1.0F - smallerOf(base.sight * seenPast(Floats(base.slope * up)), allOf(1.0F));
            });
   }
 
   template <class OfHeight>
   static float sumUp(float tallest, OfHeight&& of_height) {
-    constexpr int kSteps = 10;
-    const float step = tallest / kSteps;
-    float sum = 0.0F;
-    for (int k = 0; k < kSteps; ++k) sum += of_height((static_cast<float>(k) + 0.5F) * step);
-    return sum * step;
+    constexpr std::size_t kSteps = 3U * kLanes;
+    const float step = tallest / static_cast<float>(kSteps);
+    const Floats middles{0.5F, 1.5F, 2.5F, 3.5F};
+    Floats sum{};
+    for (std::size_t k = 0; k < kSteps; k += kLanes) {
+      sum += of_height((middles + static_cast<float>(k)) * step);
+    }
+    return total(sum) * step;
   }
 
   /// Climbs to the nearest place of most evidence.
@@ -367,8 +439,9 @@ class Search {
     if (lowest >= kHighest) return 1.0F;
     float seen = 0.0F;
     float radius = 0.0F;
-    for (std::size_t i = firstAt(base.arc_length + lowest); i < around_.places.size(); ++i) {
-      const Place& place = around_.places[i];
+    for (std::size_t i = around_.places.firstAt(base.arc_length + lowest);
+         i < around_.places.size(); ++i) {
+      const Place place = around_.places[i];
       if (place.arc_length > base.arc_length + kHighest) break;
       radius = place.radius;
       if (std::abs(place.distance - place.radius) > kSkin * around_.spread) continue;
@@ -381,19 +454,22 @@ class Search {
   }
 
   void accept(const LeafBase& base) {
-    for (std::size_t i = firstAt(base.arc_length - 2.0F * around_.spread);
-         i < around_.places.size(); ++i) {
-      const Place& place = around_.places[i];
-      if (place.arc_length > base.arc_length + kLongest) break;
-      const Influence influence = influenceOf(base, place, around_.spread);
-      hidden_[i] = std::max(hidden_[i], influence.hidden);
-      leaves_[i] += around_.stem_density * influence.leaf;
+    const float blur = blurOf(around_.spread);
+    const std::size_t end = around_.places.firstAbove(base.arc_length + kLongest);
+    for (std::size_t i = around_.places.firstAt(base.arc_length - 2.0F * around_.spread); i < end;
+         i += kLanes) {
+      const Influence influence = influenceOf(base, around_.places.lanesFrom(i), blur);
+      const Integers counts = lanesBefore(i, end);
+      const Floats hidden = loadFloats(&hidden_[i]);
+      const Floats leaves = loadFloats(&leaves_[i]);
+      store(counts ? largerOf(hidden, influence.hidden) : hidden, &hidden_[i]);
+      store(counts ? leaves + around_.stem_density * influence.leaf : leaves, &leaves_[i]);
     }
   }
 
   Surroundings around_;
   float radius_ = 0.0F;  // about halfway up [m]
-  // At each place:
+  // At each place, padded:
   std::vector<float> stem_;    ///< density of the stem's points, with no leaf in front
   std::vector<float> hidden_;  ///< share of them that the leaves found so far hide
   std::vector<float> leaves_;  ///< density of those leaves' points
@@ -408,13 +484,14 @@ Surroundings lookAround(const std::vector<Eigen::Vector3f>& points,
   constexpr float kBand = 0.05F;  // [m]
   std::vector<float> counts(static_cast<std::size_t>(length / kBand) + 1U, 0.0F);
   float beside = 0.0F;
+  std::vector<Place> places;
   for (const std::uint32_t i : members) {
     const StemAxis::Projection at = midline.axis.project(points[i]);
     if (at.arc_length < 0.0F || at.arc_length > length + kLongest) continue;
     const Place place = placeOf(points[i], at);
     const float beyond = place.distance - place.radius;
     if (beyond > LeafBases::kReach) continue;
-    around.places.push_back(place);
+    places.push_back(place);
     if (at.arc_length > length) continue;
     if (beyond < 2.0F * around.spread) {
       const float band_area = 2.0F * kPi * place.radius * kBand;
@@ -423,9 +500,10 @@ Surroundings lookAround(const std::vector<Eigen::Vector3f>& points,
       beside += 1.0F;
     }
   }
-  std::sort(around.places.begin(), around.places.end(), [](const Place& a, const Place& b) {
+  std::sort(places.begin(), places.end(), [](const Place& a, const Place& b) {
     return a.arc_length != b.arc_length ? a.arc_length < b.arc_length : a.azimuth < b.azimuth;
   });
+  around.places = Places(places);
   std::vector<float> seen;
   for (const float count : counts) {
     if (count > 0.0F) seen.push_back(count);
@@ -468,12 +546,17 @@ std::vector<float> LeafBases::arcLengths() const {
 float LeafBases::leafShare(const Eigen::Vector3f& point, const StemAxis& axis) const {
   if (bases_.empty()) return 0.0F;
   const Place place = placeOf(point, axis.project(point));
+  const PlaceLanes lanes{allOf(place.arc_length), allOf(place.azimuth), allOf(place.distance),
+                         allOf(place.radius)};
+  const float blur = blurOf(spread_);
   float leaf = 0.0F;
   float hidden = 0.0F;
   for (const LeafBase& base : bases_) {
-    const Influence influence = influenceOf(base, place, spread_);
-    leaf += influence.leaf;
-    hidden = std::max(hidden, influence.hidden);
+    const float above = place.arc_length - base.arc_length;
+    if (above < -2.0F * blur || above > kLongest) continue;
+    const Influence influence = influenceOf(base, lanes, blur);
+    leaf += influence.leaf[0];
+    hidden = std::max(hidden, influence.hidden[0]);
   }
   if (!(leaf > 0.0F)) return 0.0F;
   return leaf / (leaf + (1.0F - hidden) * stemDensity(place.distance, place.radius, spread_));

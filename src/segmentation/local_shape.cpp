@@ -55,9 +55,8 @@ std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& p
         high = high.cwiseMax(points[grid.sorted(next)]);
       }
       candidates.clear();
-      grid.forEachRunNearBox(
-          low, high, radius,
-          [&](const NeighborGrid::Coordinates& run) { candidates.add(run); });
+      grid.forEachRunNearBox(low, high, radius,
+                             [&](const NeighborGrid::Coordinates& run) { candidates.add(run); });
       candidates.close();
       for (; k < next; ++k) {
         const std::uint32_t i = grid.sorted(k);

@@ -26,10 +26,24 @@ TEST(Lanes, ExponentialsAndInverseRoots) {
   }
 }
 
+TEST(Lanes, Arcsines) {
+  for (float value = 0.0F; value <= 1.0F; value += 0.00037F) {
+    const Floats arcsines = arcsineOf(Floats{value, 0.5F * value, 1.0F, 0.0F});
+    EXPECT_NEAR(arcsines[0], std::asin(value), 1e-6F) << value;
+    EXPECT_NEAR(arcsines[1], std::asin(0.5F * value), 1e-6F) << value;
+    EXPECT_NEAR(arcsines[2], std::asin(1.0F), 1e-6F);
+    EXPECT_NEAR(arcsines[3], 0.0F, 1e-6F);
+  }
+}
+
 TEST(Lanes, ChooseAddAndAsk) {
   const Floats values{1.0F, -2.0F, 3.0F, 0.5F};
   EXPECT_EQ(total(values), 2.5F);
   EXPECT_EQ(total(largerOf(values, allOf(1.0F))), 6.0F);
+  EXPECT_EQ(total(smallerOf(values, allOf(1.0F))), 0.5F);
+  EXPECT_EQ(total(clampedTo(values, 0.0F, 2.0F)), 3.5F);
+  EXPECT_EQ(total(magnitudeOf(values)), 6.5F);
+  EXPECT_EQ(total(squareRootOf(Floats{1.0F, 4.0F, 9.0F, 0.25F})), 6.5F);
   EXPECT_TRUE(anyOf(values > 2.0F));
   EXPECT_FALSE(anyOf(values > 3.0F));
   EXPECT_EQ(bitsOf(values > 0.6F), 0b0101U);

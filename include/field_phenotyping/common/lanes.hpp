@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -38,11 +39,6 @@ inline float total(const Floats& lanes) {
   return (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
 }
 
-/// Whether a comparison holds in any lane.
-inline bool anyOf(const Integers& holds) {
-  return (holds[0] | holds[1] | holds[2] | holds[3]) != 0;
-}
-
 /// A bit for each lane in which a comparison holds, that of the first lane lowest.
 inline unsigned bitsOf(const Integers& holds) {
 #ifdef __SSE__
@@ -55,9 +51,42 @@ inline unsigned bitsOf(const Integers& holds) {
 #endif
 }
 
+/// Whether a comparison holds in any lane.
+inline bool anyOf(const Integers& holds) {
+  return bitsOf(holds) != 0U;
+}
+
+// Instructions that the compiler does not find by itself.
 /// The larger value of each lane.
 inline Floats largerOf(const Floats& a, const Floats& b) {
+#ifdef __SSE__
+  return __builtin_ia32_maxps(a, b);
+#else
   return a > b ? a : b;
+#endif
+}
+/// The smaller value of each lane.
+inline Floats smallerOf(const Floats& a, const Floats& b) {
+#ifdef __SSE__
+  return __builtin_ia32_minps(a, b);
+#else
+  return a < b ? a : b;
+#endif
+}
+inline Floats squareRootOf(const Floats& values) {
+#ifdef __SSE__
+  return __builtin_ia32_sqrtps(values);
+#else
+  return Floats{std::sqrt(values[0]), std::sqrt(values[1]), std::sqrt(values[2]),
+                std::sqrt(values[3])};
+#endif
+}
+/// The nearest values in [low, high].
+inline Floats clampedTo(const Floats& values, float low, float high) {
+  return smallerOf(largerOf(values, allOf(low)), allOf(high));
+}
+inline Floats magnitudeOf(const Floats& values) {
+  return largerOf(values, -values);
 }
 
 /// Exponentials of values in [-87, 87], exact to six digits.
@@ -89,6 +118,21 @@ inline Floats inverseRootOf(const Floats& values) {
   const Floats half = 0.5F * values;
   for (int round = 0; round < 3; ++round) root *= 1.5F - half * root * root;
   return root;
+}
+
+/// Arcsines [rad] of values in [0, 1], exact to 1e-6.
+inline Floats arcsineOf(const Floats& values) {
+  // sqrt(1 - x) carries the steep end, and the rest is smooth: Abramowitz and Stegun, 4.4.46.
+  constexpr float kHalfPi = 1.57079633F;
+  const Floats& x = values;
+  const Floats series =
+      1.5707963050F +
+      x * (-0.2145988016F +
+           x * (0.0889789874F +
+                x * (-0.0501743046F +
+                     x * (0.0308918810F +
+                          x * (-0.0170881256F + x * (0.0066700901F - x * 0.0012624911F))))));
+  return kHalfPi - squareRootOf(1.0F - x) * series;
 }
 
 }  // namespace field_phenotyping
