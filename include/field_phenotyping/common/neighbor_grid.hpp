@@ -144,16 +144,17 @@ class NeighborGrid {
     const int high_z = cellAt(high.z() + reach, 2);
     const int low_y = cellAt(low.y() - reach, 1);
     const int high_y = cellAt(high.y() + reach, 1);
+    // As much of every row: a few points more cost less than to know where the sphere cuts it.
+    const int low_x = cellAt(low.x() - reach, 0);
+    const int high_x = cellAt(high.x() + reach, 0);
     for (int z = low_z; z <= high_z; ++z) {
       const float off_z = outside(low.z(), high.z(), z, 2);
-      const float left_z = reach * reach - off_z * off_z;
+      const float left = reach * reach - off_z * off_z;
       for (int y = low_y; y <= high_y; ++y) {
-        // Only the part of the row that the sphere reaches; its cells are neighbours in memory.
         const float off_y = outside(low.y(), high.y(), y, 1);
-        const float left = left_z - off_y * off_y;
-        if (left < 0.0F) continue;
-        const float half = std::sqrt(left) + slack_;
-        if (!visit(findRun(cellAt(low.x() - half, 0), cellAt(high.x() + half, 0), y, z))) return;
+        if (off_y * off_y > left) continue;
+        const Run run = findRun(low_x, high_x, y, z);
+        if (run.begin < run.end && !visit(run)) return;
       }
     }
   }
