@@ -97,11 +97,6 @@ class Places {
   std::vector<float> radius_;
 };
 
-/// Which of the lanes from `i` on lie before `end`.
-Integers lanesBefore(std::size_t i, std::size_t end) {
-  return Integers{0, 1, 2, 3} < static_cast<std::int32_t>(end - i);
-}
-
 /// What a leaf base does to places: points of its own, and stem that it hides.
 struct Influence {
   Floats leaf{};    // density across its sheet [1/m], for a stem's density of 1
@@ -342,7 +337,7 @@ class Search {
     double odds = 1.0;
     for (std::size_t i = first; i < end; i += kLanes) {
       const PlaceLanes place = around_.places.lanesFrom(i);
-      const Integers counts = lanesBefore(i, end) & (place.distance - place.radius <= reach);
+      const Integers counts = lanesBefore(end - i) & (place.distance - place.radius <= reach);
       const Influence influence = influenceOf(base, place, blur);
       const Floats stem = loadFloats(&stem_[i]);
       const Floats hidden = loadFloats(&hidden_[i]);
@@ -459,7 +454,7 @@ class Search {
     for (std::size_t i = around_.places.firstAt(base.arc_length - 2.0F * around_.spread); i < end;
          i += kLanes) {
       const Influence influence = influenceOf(base, around_.places.lanesFrom(i), blur);
-      const Integers counts = lanesBefore(i, end);
+      const Integers counts = lanesBefore(end - i);
       const Floats hidden = loadFloats(&hidden_[i]);
       const Floats leaves = loadFloats(&leaves_[i]);
       store(counts ? largerOf(hidden, influence.hidden) : hidden, &hidden_[i]);

@@ -57,7 +57,6 @@ std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& p
       candidates.clear();
       grid.forEachRunNearBox(low, high, radius,
                              [&](const NeighborGrid::Coordinates& run) { candidates.add(run); });
-      candidates.close();
       for (; k < next; ++k) {
         const std::uint32_t i = grid.sorted(k);
         shapes[i] = shapeOf(candidates.momentsAbout(points[i], radius));

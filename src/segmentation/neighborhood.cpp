@@ -5,12 +5,9 @@ namespace field_phenotyping {
 void Neighborhood::grow(std::size_t points) {
   const std::size_t size = 2U * (count_ + points) + 64U;
   for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(size);
-  tags_.resize(size);
 }
 
-template <class Counts>
-Moments Neighborhood::sumWithin(const Eigen::Vector3f& place, float radius,
-                                Counts&& counts_among) const {
+Moments Neighborhood::momentsAbout(const Eigen::Vector3f& place, float radius) const {
   Floats count{}, sum_x{}, sum_y{}, sum_z{}, xx{}, yy{}, zz{}, xy{}, yz{}, zx{};
   const Floats limit = allOf(radius * radius);
   const Floats one = allOf(1.0F);
@@ -19,8 +16,9 @@ Moments Neighborhood::sumWithin(const Eigen::Vector3f& place, float radius,
     Floats x = loadFloats(&x_[k]) - place.x();
     Floats y = loadFloats(&y_[k]) - place.y();
     Floats z = loadFloats(&z_[k]) - place.z();
-    const Integers counts = counts_among(x * x + (y * y + z * z) <= limit, k);
-    if (bitsOf(counts) == 0U) continue;
+    Integers counts = x * x + (y * y + z * z) <= limit;
+    if (k + kLanes > count_) counts &= lanesBefore(count_ - k);
+    if (!anyOf(counts)) continue;
     x = counts ? x : none;
     y = counts ? y : none;
     z = counts ? z : none;
@@ -41,18 +39,6 @@ Moments Neighborhood::sumWithin(const Eigen::Vector3f& place, float radius,
   moments.squares = {total(xx), total(yy), total(zz)};
   moments.products = {total(xy), total(yz), total(zx)};
   return moments;
-}
-
-Moments Neighborhood::momentsAbout(const Eigen::Vector3f& place, float radius) const {
-  return sumWithin(place, radius, [](const Integers& within, std::size_t) { return within; });
-}
-
-Moments Neighborhood::momentsAbout(const Eigen::Vector3f& place, float radius,
-                                   std::int32_t tag) const {
-  const Integers wanted = allOf(tag);
-  return sumWithin(place, radius, [&](const Integers& within, std::size_t k) {
-    return within & (loadIntegers(&tags_[k]) == wanted);
-  });
 }
 
 }  // namespace field_phenotyping

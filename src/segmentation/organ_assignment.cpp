@@ -11,6 +11,7 @@
 #include <queue>
 #include <utility>
 
+#include "field_phenotyping/common/lanes.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/minimum_cut.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
@@ -98,9 +99,35 @@ struct Pieces {
   std::vector<std::vector<std::uint32_t>> cells;  // of each piece
 };
 
+/// Which cells touch which, stems apart: looked up once, asked often.
+class Contacts {
+ public:
+  Contacts(const Cells& cells, const NeighborGrid& grid) {
+    begin_.reserve(cells.size() + 1U);
+    for (std::uint32_t n = 0; n < cells.size(); ++n) {
+      begin_.push_back(touching_.size());
+      if (cells.is_stem[n] != 0U) continue;
+      grid.forEachWithin(cells.centers[n], kTouch, [&](std::uint32_t other, float) {
+        if (other != n && cells.is_stem[other] == 0U) touching_.push_back(other);
+      });
+    }
+    begin_.push_back(touching_.size());
+  }
+
+  /// Calls visit(cell) for the cells that touch that one.
+  template <class Visit>
+  void forEach(std::uint32_t cell, Visit&& visit) const {
+    for (std::size_t k = begin_[cell]; k < begin_[cell + 1U]; ++k) visit(touching_[k]);
+  }
+
+ private:
+  std::vector<std::size_t> begin_;  // of each cell's
+  std::vector<std::uint32_t> touching_;
+};
+
 /// Joins touching cells that lie on one smooth ribbon. Where organs cross or touch, the cloud is
 /// neither thin nor straight, and no piece reaches into it.
-std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const NeighborGrid& grid,
+std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const Contacts& contacts,
                                           float noise) {
   constexpr float kMostCurvature = 0.04F;  // of a leaf among others, without noise
   constexpr float kNoiseCurvature = 3.0F;  // of a leaf, per its squared thickness
@@ -127,7 +154,7 @@ std::vector<std::int32_t> joinSmoothCells(const Cells& cells, const NeighborGrid
   for (std::uint32_t a = 0; a < cells.size(); ++a) {
     if (smooth[a] == 0U) continue;
     const LocalShape& shape = cells.shapes[a];
-    grid.forEachWithin(cells.centers[a], kTouch, [&](std::uint32_t b, float) {
+    contacts.forEach(a, [&](std::uint32_t b) {
       if (b <= a || smooth[b] == 0U) return;
       const LocalShape& other = cells.shapes[b];
       if (std::abs(shape.direction.dot(other.direction)) < kAlike) return;
@@ -164,22 +191,9 @@ struct Ribbon {
   float spread = 0.0F;  // [m] standard deviation of its width
 };
 
-/// Cells round a place, tagged with their pieces; calls visit(piece, center) for each.
-template <class Visit>
-void gatherAround(const NeighborGrid& grid, const std::vector<std::int32_t>& piece_of,
-                  const Eigen::Vector3f& place, float radius, Neighborhood& around, Visit&& visit) {
-  around.clear();
-  grid.forEachNearBox(place, place, radius, [&](std::uint32_t n, const Eigen::Vector3f& at) {
-    if (piece_of[n] < 0) return;
-    around.add(at, piece_of[n]);
-    visit(piece_of[n], at);
-  });
-  around.close();
-}
-
-Ribbon fitRibbon(const Neighborhood& around, const Eigen::Vector3f& place, float radius,
-                 std::int32_t piece) {
-  const Moments moments = around.momentsAbout(place, radius, piece);
+/// @param piece its cells
+Ribbon fitRibbon(const Neighborhood& piece, const Eigen::Vector3f& place, float radius) {
+  const Moments moments = piece.momentsAbout(place, radius);
   Ribbon ribbon;
   constexpr float kLeastCells = 4.0F;
   if (moments.count < kLeastCells) return ribbon;
@@ -199,7 +213,9 @@ Ribbon fitRibbon(const Neighborhood& around, const Eigen::Vector3f& place, float
 
 /// Carries each piece on into what touches it, as its own cells alone foretell: thus it passes
 /// through crossings.
-void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::int32_t>& piece_of) {
+/// @param places the cells of each piece
+void growPieces(const Cells& cells, const Contacts& contacts, std::vector<std::int32_t>& piece_of,
+                std::vector<Neighborhood>& places) {
   constexpr float kOffset = 0.008F;   // [m] out of the ribbon
   constexpr float kHalfWidth = 1.7F;  // of an even ribbon, in standard deviations
   constexpr float kMargin = 0.01F;    // [m] beyond it
@@ -207,8 +223,8 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
   std::vector<std::uint32_t> front;   // cells without a piece that touch one newly grown
   std::vector<std::uint8_t> listed(cells.size(), 0U);
   const auto listAround = [&](std::uint32_t n, std::vector<std::uint32_t>& list) {
-    grid.forEachWithin(cells.centers[n], kTouch, [&](std::uint32_t next, float) {
-      if (piece_of[next] >= 0 || cells.is_stem[next] != 0U || listed[next] != 0U) return;
+    contacts.forEach(n, [&](std::uint32_t next) {
+      if (piece_of[next] >= 0 || listed[next] != 0U) return;
       listed[next] = 1U;
       list.push_back(next);
     });
@@ -217,24 +233,22 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
     if (piece_of[n] >= 0) listAround(n, front);
   }
   std::vector<std::int32_t> touching;
-  Neighborhood around;
   for (int round = 0; round < kMostRounds && !front.empty(); ++round) {
     std::vector<std::pair<std::uint32_t, std::int32_t>> grown;
     for (const std::uint32_t n : front) {
       listed[n] = 0U;
-      const Eigen::Vector3f& center = cells.centers[n];
       touching.clear();
-      gatherAround(grid, piece_of, center, cells.shape_radius, around,
-                   [&](std::int32_t piece, const Eigen::Vector3f& at) {
-                     if ((at - center).squaredNorm() <= kTouch * kTouch &&
-                         std::find(touching.begin(), touching.end(), piece) == touching.end()) {
-                       touching.push_back(piece);
-                     }
-                   });
+      contacts.forEach(n, [&](std::uint32_t other) {
+        const std::int32_t piece = piece_of[other];
+        if (piece >= 0 && std::find(touching.begin(), touching.end(), piece) == touching.end()) {
+          touching.push_back(piece);
+        }
+      });
       float least = kOffset;
       std::int32_t best = -1;
       for (const std::int32_t piece : touching) {
-        const Ribbon ribbon = fitRibbon(around, cells.centers[n], cells.shape_radius, piece);
+        const Ribbon ribbon = fitRibbon(places[static_cast<std::size_t>(piece)], cells.centers[n],
+                                        cells.shape_radius);
         if (!ribbon.known) continue;
         const Eigen::Vector3f offset = cells.centers[n] - ribbon.mean;
         const float out = std::abs(offset.dot(ribbon.normal));
@@ -246,28 +260,33 @@ void growPieces(const Cells& cells, const NeighborGrid& grid, std::vector<std::i
       if (best >= 0) grown.emplace_back(n, best);
     }
     front.clear();
-    for (const auto& [n, piece] : grown) piece_of[n] = piece;
+    for (const auto& [n, piece] : grown) {
+      piece_of[n] = piece;
+      places[static_cast<std::size_t>(piece)].add(cells.centers[n]);
+    }
     for (const auto& one : grown) listAround(one.first, front);
   }
 }
 
 /// Pieces of leaves; their cells get the shape of the piece alone.
 Pieces findPieces(Cells& cells, float noise) {
-  const NeighborGrid grid(cells.centers, 0.5F * cells.shape_radius);
+  const Contacts contacts(cells, NeighborGrid(cells.centers, kTouch));
   Pieces pieces;
-  pieces.of_cell = joinSmoothCells(cells, grid, noise);
-  growPieces(cells, grid, pieces.of_cell);
-  Neighborhood around;
+  pieces.of_cell = joinSmoothCells(cells, contacts, noise);
+  std::vector<Neighborhood> places;  // of each piece
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    const std::int32_t piece = pieces.of_cell[n];
-    if (piece < 0) continue;
-    if (pieces.cells.size() <= static_cast<std::size_t>(piece)) {
-      pieces.cells.resize(static_cast<std::size_t>(piece) + 1U);
-    }
-    pieces.cells[static_cast<std::size_t>(piece)].push_back(n);
-    gatherAround(grid, pieces.of_cell, cells.centers[n], cells.shape_radius, around,
-                 [](std::int32_t, const Eigen::Vector3f&) {});
-    const Ribbon ribbon = fitRibbon(around, cells.centers[n], cells.shape_radius, piece);
+    if (pieces.of_cell[n] < 0) continue;
+    const auto piece = static_cast<std::size_t>(pieces.of_cell[n]);
+    if (places.size() <= piece) places.resize(piece + 1U);
+    places[piece].add(cells.centers[n]);
+  }
+  growPieces(cells, contacts, pieces.of_cell, places);
+  pieces.cells.resize(places.size());
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (pieces.of_cell[n] < 0) continue;
+    const auto piece = static_cast<std::size_t>(pieces.of_cell[n]);
+    pieces.cells[piece].push_back(n);
+    const Ribbon ribbon = fitRibbon(places[piece], cells.centers[n], cells.shape_radius);
     if (!ribbon.known) continue;
     cells.shapes[n].direction = ribbon.direction;
     cells.shapes[n].normal = ribbon.normal;
@@ -324,46 +343,33 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
   const auto squaredGap = [](float cost) { return cost * kGapScale * cost * kGapScale; };
   std::vector<float> farthest(pieces.cells.size(), squaredGap(kMostCost));
   std::vector<std::uint32_t> touched;
-  std::vector<std::pair<std::uint32_t, float>> near(all.places.size() + 1U);  // place, squared gap
   const auto compare = [&](const PlacesOfPieces& among, std::uint32_t a) {
     const Eigen::Vector3f& center = cells.centers[a];
     const Eigen::Vector3f& direction = cells.shapes[a].direction;
-    // Gathered first, without a branch per cell, since most are of no use.
-    std::size_t count = 0U;
-    const float farthest_squared = among.reach * among.reach;
-    among.grid->forEachNearBox(
-        center, center, among.reach, [&](std::uint32_t k, const Eigen::Vector3f& at) {
-          const float squared = (at - center).squaredNorm();
-          near[count] = {k, squared};
-          count += static_cast<std::size_t>(
-              static_cast<unsigned>(squared <= farthest_squared) &
-              static_cast<unsigned>(squared < farthest[among.places[k].piece]));
-        });
-    for (std::size_t j = 0; j < count; ++j) {
-      const auto [k, squared] = near[j];
+    among.grid->forEachWithin(center, among.reach, [&](std::uint32_t k, float squared) {
       const auto [other, b] = among.places[k];
-      if (squared >= farthest[other]) continue;
+      if (squared >= farthest[other]) return;
       // What is cheap to know first, since few pairs are better than the best so far.
       const float gap = std::sqrt(squared);
       const float gap_cost = gap / kGapScale;
       const Eigen::Vector3f& onward = cells.shapes[b].direction;
       const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
       constexpr float kPerBend = 0.5F / (kBendScale * kBendScale);
-      if (gap_cost + kPerBend * whole >= least[other]) continue;
+      if (gap_cost + kPerBend * whole >= least[other]) return;
       const Eigen::Vector3f step = cells.centers[b] - center;
       // Squares of angles, nearly: 2 - 2 cos.
-      const auto bend = [&, squared = squared](const Eigen::Vector3f& along) {
+      const auto bend = [&](const Eigen::Vector3f& along) {
         const float ahead = std::abs(step.dot(along));
         const float aside = std::sqrt(std::max(0.0F, squared - ahead * ahead)) - kAside;
         return aside > 0.0F ? 2.0F - 2.0F * ahead / std::sqrt(ahead * ahead + aside * aside) : 0.0F;
       };
       const float cost = gap_cost + kPerBend * (bend(direction) + bend(onward) + whole);
-      if (cost >= least[other]) continue;
-      if (gap > kNearReach && (cells.is_low[a] | cells.is_low[b]) != 0) continue;
+      if (cost >= least[other]) return;
+      if (gap > kNearReach && (cells.is_low[a] | cells.is_low[b]) != 0) return;
       if (least[other] == kMostCost) touched.push_back(other);
       least[other] = cost;
       farthest[other] = squaredGap(cost);
-    }
+    });
   };
   for (std::size_t piece = 0; piece < pieces.cells.size(); ++piece) {
     touched.clear();
@@ -383,29 +389,83 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
 
 // ---------------------------------------------------------------------------- form of leaves
 
-/// How a place on an organ lies to an axis.
-struct Pose {
-  bool known = false;     // false where it is too near to the axis to tell
-  float distance = 0.0F;  // [m] level distance from the axis
-  float miss = 0.0F;      // [m] by which the organ points past the axis
-  float slope = 0.0F;     // [rad] of the organ outwards, upwards positive
+/// kLanes cells of organs.
+struct OrganLanes {
+  Floats x;
+  Floats y;
+  Floats z;
+  Floats direction_x;
+  Floats direction_y;
+  Floats direction_z;  // >= 0
+  Floats linearity;
 };
 
-Pose poseOf(const LocalShape& shape, const Eigen::Vector3f& center, const StemAxis& axis) {
+OrganLanes lanesOf(const LocalShape& shape, const Eigen::Vector3f& center) {
+  return {allOf(center.x()),          allOf(center.y()),          allOf(center.z()),
+          allOf(shape.direction.x()), allOf(shape.direction.y()), allOf(shape.direction.z()),
+          allOf(shape.linearity)};
+}
+
+/// Some cells of a piece, coordinate by coordinate.
+class PieceSamples {
+ public:
+  /// Every `stride`-th cell.
+  void take(const Cells& cells, const std::vector<std::uint32_t>& members, std::size_t stride) {
+    count_ = (members.size() + stride - 1U) / stride;
+    // Lanes beyond the last one repeat it, with no say.
+    for (std::vector<float>& values : values_) values.resize(count_ + kLanes);
+    for (std::size_t k = 0; k < count_ + kLanes; ++k) {
+      const std::uint32_t n = members[std::min(k, count_ - 1U) * stride];
+      const LocalShape& shape = cells.shapes[n];
+      for (std::size_t axis = 0; axis < 3U; ++axis) {
+        values_[axis][k] = cells.centers[n][static_cast<Eigen::Index>(axis)];
+        values_[axis + 3U][k] = shape.direction[static_cast<Eigen::Index>(axis)];
+      }
+      values_[6][k] = k < count_ ? shape.linearity : 0.0F;
+    }
+  }
+  std::size_t size() const { return count_; }
+  OrganLanes lanesFrom(std::size_t k) const {
+    const auto load = [&](std::size_t value) { return loadFloats(&values_[value][k]); };
+    return {load(0U), load(1U), load(2U), load(3U), load(4U), load(5U), load(6U)};
+  }
+
+ private:
+  std::size_t count_ = 0U;
+  std::array<std::vector<float>, 7> values_;
+};
+
+/// How places on organs lie to an axis.
+struct Pose {
+  Integers known;   // does not hold where it is too near to the axis to tell
+  Floats distance;  // [m] level distance from the axis
+  Floats miss;      // [m] by which the organ points past the axis
+  Floats slope;     // [rad] of the organ outwards, upwards positive
+};
+
+/// @param segment of the axis, where to look first
+Pose poseOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment) {
   constexpr float kOnStem = 0.025F;  // [m]
+  constexpr float kUpright = 1e-3F;  // level share of a direction that points nowhere
+  Floats away_x = organ.x;
+  Floats away_y = organ.y;
+  for (std::size_t lane = 0; lane < kLanes; ++lane) {
+    const Eigen::Vector3f foot = axis.pointAtHeight(organ.z[lane], segment);
+    away_x[lane] -= foot.x();
+    away_y[lane] -= foot.y();
+  }
+  const Floats& run_x = organ.direction_x;
+  const Floats& run_y = organ.direction_y;
   Pose pose;
-  const Eigen::Vector2f away = (center - axis.pointAtHeight(center.z())).head<2>();
-  pose.distance = away.norm();
-  const Eigen::Vector2f run = shape.direction.head<2>();
-  const float level = run.norm();
-  pose.known = pose.distance >= kOnStem && level > 1e-3F;
-  if (!pose.known) return pose;
+  pose.distance = squareRootOf(away_x * away_x + away_y * away_y);
+  const Floats level = squareRootOf(run_x * run_x + run_y * run_y);
+  pose.known = (pose.distance >= kOnStem) & (level > kUpright);
   // What stands upright points nowhere.
-  pose.miss =
-      std::abs(run.x() * away.y() - run.y() * away.x()) / level * std::min(1.0F, 2.0F * level);
-  const float outward = run.dot(away);
-  pose.slope =
-      std::atan2(std::copysign(shape.direction.z(), outward), std::abs(outward) / pose.distance);
+  const Floats share = smallerOf(allOf(1.0F), 2.0F * level) / largerOf(level, allOf(kUpright));
+  pose.miss = magnitudeOf(run_x * away_y - run_y * away_x) * share;
+  const Floats outward = run_x * away_x + run_y * away_y;
+  const Floats angle = arctangentOf(organ.direction_z * pose.distance, magnitudeOf(outward));
+  pose.slope = outward < 0.0F ? -angle : angle;
   return pose;
 }
 
@@ -438,12 +498,13 @@ class LeafForm {
       if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
       if (cells.shapes[n].linearity < kLeastLinearity) continue;
       const StemAxis& axis = axes[static_cast<std::size_t>(cells.owner[n])];
-      const Pose pose = poseOf(cells.shapes[n], cells.centers[n], axis);
-      const auto bin = static_cast<std::size_t>(pose.distance / kBin);
-      if (!pose.known || bin >= kBins) continue;
-      for (Samples* of : {&whole, &samples[bandOf(cells.centers[n], axis)]}) {
-        of->slopes[bin].push_back(pose.slope);
-        of->misses[bin].push_back(pose.miss);
+      std::size_t segment = 0U;
+      const Pose pose = poseOf(lanesOf(cells.shapes[n], cells.centers[n]), axis, segment);
+      const auto bin = static_cast<std::size_t>(pose.distance[0] / kBin);
+      if (pose.known[0] == 0 || bin >= kBins) continue;
+      for (Samples* of : {&whole, &samples[bandOf(cells.centers[n].z(), axis)]}) {
+        of->slopes[bin].push_back(pose.slope[0]);
+        of->misses[bin].push_back(pose.miss[0]);
       }
     }
     LeafForm form;
@@ -457,24 +518,47 @@ class LeafForm {
   /// How little a place on an organ looks like one of the plant with that axis, from 0. Leaves that
   /// cross from a neighbour point past the stem and rise the wrong way.
   float misfit(const LocalShape& shape, const Eigen::Vector3f& center, const StemAxis& axis) const {
-    const Pose pose = poseOf(shape, center, axis);
-    if (!pose.known) return 0.0F;
-    const Profile& profile = bands_[bandOf(center, axis)];
-    const float at = std::clamp(pose.distance / kBin - 0.5F, 0.0F, kBins - 1.001F);
-    const auto k = static_cast<std::size_t>(at);
-    const float share = at - static_cast<float>(k);
-    const auto between = [&](float Bin::*value) {
-      return (1.0F - share) * profile[k].*value + share * profile[k + 1U].*value;
-    };
-    const float off_plane = pose.miss / between(&Bin::miss_spread);
-    const float off_slope = (pose.slope - between(&Bin::slope)) / between(&Bin::slope_spread);
-    // Not its square, since a leaf that is bent or torn is odd all along.
-    constexpr float kTail = 2.0F;
-    return shape.linearity * kTail *
-           std::log1p(0.5F / kTail * (off_plane * off_plane + off_slope * off_slope));
+    std::size_t segment = 0U;
+    return misfitOf(lanesOf(shape, center), axis, segment)[0];
+  }
+  /// The sum over samples of one piece.
+  float misfit(const PieceSamples& samples, const StemAxis& axis) const {
+    std::size_t segment = 0U;
+    Floats sum{};
+    for (std::size_t k = 0; k < samples.size(); k += kLanes) {
+      sum += misfitOf(samples.lanesFrom(k), axis, segment);
+    }
+    return total(sum);
   }
 
  private:
+  Floats misfitOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment) const {
+    const Pose pose = poseOf(organ, axis, segment);
+    if (!anyOf(pose.known)) return Floats{};
+    const Floats at = clampedTo(pose.distance * (1.0F / kBin) - 0.5F, 0.0F, kBins - 1.001F);
+    Floats slope{};
+    Floats slope_spread{};
+    Floats miss_spread{};
+    for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      const Profile& profile = bands_[bandOf(organ.z[lane], axis)];
+      const auto k = static_cast<std::size_t>(at[lane]);
+      const float share = at[lane] - static_cast<float>(k);
+      const auto between = [&](float Bin::*value) {
+        return (1.0F - share) * profile[k].*value + share * profile[k + 1U].*value;
+      };
+      slope[lane] = between(&Bin::slope);
+      slope_spread[lane] = between(&Bin::slope_spread);
+      miss_spread[lane] = between(&Bin::miss_spread);
+    }
+    const Floats off_plane = pose.miss / miss_spread;
+    const Floats off_slope = (pose.slope - slope) / slope_spread;
+    // Not its square, since a leaf that is bent or torn is odd all along.
+    constexpr float kTail = 2.0F;
+    const Floats odd =
+        logarithmOf(1.0F + 0.5F / kTail * (off_plane * off_plane + off_slope * off_slope));
+    return pose.known ? organ.linearity * kTail * odd : Floats{};
+  }
+
   static constexpr std::size_t kBins = 20U;
   static constexpr float kBin = 0.05F;       // [m]
   static constexpr std::size_t kBands = 5U;  // of equal height up the stem
@@ -489,10 +573,10 @@ class LeafForm {
     std::array<std::vector<float>, kBins> misses;
   };
 
-  static std::size_t bandOf(const Eigen::Vector3f& center, const StemAxis& axis) {
+  static std::size_t bandOf(float z, const StemAxis& axis) {
     const float low = axis.nodes().front().position.z();
     const float height = std::max(axis.nodes().back().position.z() - low, kBin);
-    const float share = std::clamp((center.z() - low) / height, 0.0F, 1.0F);
+    const float share = std::clamp((z - low) / height, 0.0F, 1.0F);
     return std::min(static_cast<std::size_t>(share * static_cast<float>(kBands)), kBands - 1U);
   }
 
@@ -553,24 +637,22 @@ std::vector<std::vector<Misfit>> compareForms(const Cells& cells, const Pieces& 
   const NeighborGrid grid(feet, 0.5F * kFarthest);
   std::vector<std::vector<Misfit>> misfits(axes.size());
   std::vector<std::pair<std::uint32_t, float>> of_plants;
+  PieceSamples samples;
   for (std::uint32_t piece = 0; piece < pieces.cells.size(); ++piece) {
     const std::vector<std::uint32_t>& members = pieces.cells[piece];
     const std::size_t stride = (members.size() + kSamples - 1U) / kSamples;
-    const std::size_t samples = (members.size() + stride - 1U) / stride;
+    samples.take(cells, members, stride);
     const auto size = static_cast<float>(members.size());
-    const float share = weight * size / (std::max(size, kWholeCells) * static_cast<float>(samples));
+    const float share =
+        weight * size / (std::max(size, kWholeCells) * static_cast<float>(samples.size()));
     of_plants.clear();
     float least = std::numeric_limits<float>::max();
     grid.forEachWithin(level(cells.centers[members[members.size() / 2U]]), kFarthest,
                        [&](std::uint32_t plant, float) {
                          if (has_stem[plant] == 0U) return;
-                         float sum = 0.0F;
-                         for (std::size_t k = 0; k < members.size(); k += stride) {
-                           const std::uint32_t n = members[k];
-                           sum += form.misfit(cells.shapes[n], cells.centers[n], axes[plant]);
-                         }
-                         of_plants.emplace_back(plant, share * sum);
-                         least = std::min(least, share * sum);
+                         const float cost = share * form.misfit(samples, axes[plant]);
+                         of_plants.emplace_back(plant, cost);
+                         least = std::min(least, cost);
                        });
     for (const auto& [plant, cost] : of_plants) misfits[plant].push_back({piece, cost - least});
   }

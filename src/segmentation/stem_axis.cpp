@@ -46,9 +46,15 @@ Eigen::Vector3f StemAxis::pointAtHeight(float z) const {
         std::lower_bound(nodes_.begin() + 1, nodes_.end() - 1, z,
                          [](const Node& node, float height) { return node.position.z() < height; });
     i = static_cast<std::size_t>(above - nodes_.begin()) - 1U;
-  } else {
-    while (i + 2 < nodes_.size() && nodes_[i + 1].position.z() < z) ++i;
   }
+  return pointAtHeight(z, i);
+}
+
+Eigen::Vector3f StemAxis::pointAtHeight(float z, std::size_t& segment) const {
+  std::size_t i = rising_ ? std::min(segment, nodes_.size() - 2U) : 0U;
+  while (i + 2U < nodes_.size() && nodes_[i + 1U].position.z() < z) ++i;
+  while (rising_ && i > 0U && nodes_[i].position.z() >= z) --i;
+  segment = i;
   const Eigen::Vector3f& low = nodes_[i].position;
   const Eigen::Vector3f step = nodes_[i + 1].position - low;
   if (!(step.z() > 0.0F)) return {low.x(), low.y(), z};

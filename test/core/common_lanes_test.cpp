@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 
 #include "field_phenotyping/common/lanes.hpp"
@@ -33,6 +34,30 @@ TEST(Lanes, Arcsines) {
     EXPECT_NEAR(arcsines[1], std::asin(0.5F * value), 1e-6F) << value;
     EXPECT_NEAR(arcsines[2], std::asin(1.0F), 1e-6F);
     EXPECT_NEAR(arcsines[3], 0.0F, 1e-6F);
+  }
+}
+
+TEST(Lanes, Arctangents) {
+  for (float angle = 0.0F; angle <= 1.5707F; angle += 0.00037F) {
+    const float rise = std::sin(angle);
+    const float run = std::cos(angle);
+    const Floats angles =
+        arctangentOf(Floats{rise, 7.0F * rise, 1.0F, 0.0F}, Floats{run, 7.0F * run, 0.0F, 0.0F});
+    EXPECT_NEAR(angles[0], std::atan2(rise, run), 1e-6F) << angle;
+    EXPECT_NEAR(angles[1], std::atan2(rise, run), 1e-6F) << angle;
+    EXPECT_NEAR(angles[2], std::atan2(1.0F, 0.0F), 1e-6F);
+    EXPECT_EQ(angles[3], 0.0F);
+  }
+}
+
+TEST(Lanes, Logarithms) {
+  for (float value = 1.0F; value < 1e12F; value *= 1.0037F) {
+    const Floats logarithms = logarithmOf(Floats{value, value * value, 1.0F, 4.0F});
+    EXPECT_NEAR(logarithms[0], std::log(value), 1e-6F * std::max(1.0F, std::log(value))) << value;
+    EXPECT_NEAR(logarithms[1], std::log(value * value),
+                1e-6F * std::max(1.0F, std::log(value * value)));
+    EXPECT_EQ(logarithms[2], 0.0F);
+    EXPECT_NEAR(logarithms[3], std::log(4.0F), 1e-6F);
   }
 }
 

@@ -39,6 +39,11 @@ inline float total(const Floats& lanes) {
   return (lanes[0] + lanes[1]) + (lanes[2] + lanes[3]);
 }
 
+/// Holds in the first `count` lanes.
+inline Integers lanesBefore(std::size_t count) {
+  return Integers{0, 1, 2, 3} < static_cast<std::int32_t>(count);
+}
+
 /// A bit for each lane in which a comparison holds, that of the first lane lowest.
 inline unsigned bitsOf(const Integers& holds) {
 #ifdef __SSE__
@@ -118,6 +123,53 @@ inline Floats inverseRootOf(const Floats& values) {
   const Floats half = 0.5F * values;
   for (int round = 0; round < 3; ++round) root *= 1.5F - half * root * root;
   return root;
+}
+
+/// Logarithms of values >= 1, exact to 1e-6 of them or of 1.
+inline Floats logarithmOf(const Floats& values) {
+  Integers bits;
+  std::memcpy(&bits, &values, sizeof bits);
+  constexpr std::int32_t kBias = 127;  // of a float's exponent, which begins at bit 23
+  constexpr std::int32_t kMantissa = 0x007FFFFF;
+  const Floats exponent = __builtin_convertvector((bits >> 23) - kBias, Floats);
+  bits = (bits & kMantissa) | (kBias << 23);
+  Floats mantissa;  // in [1, 2)
+  std::memcpy(&mantissa, &bits, sizeof mantissa);
+  // log m = 2 artanh((m - 1) / (m + 1)); half the range of m makes the series short.
+  constexpr float kRootTwo = 1.41421356F;
+  const Integers large = mantissa > kRootTwo;
+  mantissa = large ? 0.5F * mantissa : mantissa;
+  const Floats power = exponent + (large ? allOf(1.0F) : Floats{});
+  const Floats ratio = (mantissa - 1.0F) / (mantissa + 1.0F);
+  const Floats square = ratio * ratio;
+  const Floats series =
+      2.0F + square * (2.0F / 3.0F +
+                       square * (2.0F / 5.0F + square * (2.0F / 7.0F + square * 2.0F / 9.0F)));
+  return power * 0.693147181F + ratio * series;
+}
+
+/// Angles [rad] whose tangents are `rise` / `run`, both >= 0; 0 where both are. Exact to 1e-6.
+inline Floats arctangentOf(const Floats& rise, const Floats& run) {
+  constexpr float kHalfPi = 1.57079633F;
+  constexpr float kTiny = 1e-30F;
+  const Floats larger = largerOf(largerOf(rise, run), allOf(kTiny));
+  const Floats tangent = smallerOf(rise, run) / larger;
+  const Floats square = tangent * tangent;
+  // Abramowitz and Stegun, 4.4.49.
+  const Floats series =
+      1.0F +
+      square *
+          (-0.3333314528F +
+           square *
+               (0.1999355085F +
+                square * (-0.1420889944F +
+                          square * (0.1065626393F +
+                                    square * (-0.0752896400F +
+                                              square * (0.0429096138F +
+                                                        square * (-0.0161657367F +
+                                                                  square * 0.0028662257F)))))));
+  const Floats angle = tangent * series;
+  return rise > run ? kHalfPi - angle : angle;
 }
 
 /// Arcsines [rad] of values in [0, 1], exact to 1e-6.

@@ -3,7 +3,6 @@
 #include <Eigen/Core>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
 #include <vector>
 
 #include "field_phenotyping/common/lanes.hpp"
@@ -42,16 +41,13 @@ struct Moments {
 class Neighborhood {
  public:
   void clear() { count_ = 0U; }
-  /// @param tag says which group the point belongs to
-  void add(const Eigen::Vector3f& point, std::int32_t tag = kNoTag) {
+  void add(const Eigen::Vector3f& point) {
     reserve(1U);
     x_[count_] = point.x();
     y_[count_] = point.y();
     z_[count_] = point.z();
-    tags_[count_] = tag;
     ++count_;
   }
-  /// Points without tags.
   void add(const NeighborGrid::Coordinates& run) {
     reserve(run.count);
     for (std::size_t k = 0; k < run.count; k += kLanes) {
@@ -61,33 +57,21 @@ class Neighborhood {
     }
     count_ += run.count;
   }
-  /// To be called after the last add(): fills the lanes that are left.
-  void close() {
-    constexpr float kNowhere = std::numeric_limits<float>::infinity();
-    while (count_ % kLanes != 0U) add(Eigen::Vector3f::Constant(kNowhere));
-  }
 
   /// Moments of the points within `radius` [m] of `place`.
   Moments momentsAbout(const Eigen::Vector3f& place, float radius) const;
-  /// The same of those with that tag.
-  Moments momentsAbout(const Eigen::Vector3f& place, float radius, std::int32_t tag) const;
 
  private:
-  static constexpr std::int32_t kNoTag = -2;
-
   /// Makes room for points, and for the lanes beyond them.
   void reserve(std::size_t points) {
     if (count_ + points + kLanes > x_.size()) grow(points);
   }
   void grow(std::size_t points);
-  template <class Counts>
-  Moments sumWithin(const Eigen::Vector3f& place, float radius, Counts&& counts) const;
 
   std::size_t count_ = 0U;
-  std::vector<float> x_;
+  std::vector<float> x_;  // padded, so that the last lanes can be loaded
   std::vector<float> y_;
   std::vector<float> z_;
-  std::vector<std::int32_t> tags_;
 };
 
 }  // namespace field_phenotyping

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <vector>
 
 namespace field_phenotyping {
@@ -36,6 +37,9 @@ class StemAxis {
   float radiusAt(float s) const;
   /// Where the axis passes local height `z`; the ends are continued straight.
   Eigen::Vector3f pointAtHeight(float z) const;
+  /// The same, for many heights that are near to one another.
+  /// @param segment where to look first, any number; where it was found afterwards
+  Eigen::Vector3f pointAtHeight(float z, std::size_t& segment) const;
 
   /// The part of the axis below arc length `s`, which is clamped so that something remains.
   StemAxis below(float s) const;
