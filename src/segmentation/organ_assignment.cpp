@@ -80,7 +80,7 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner, fl
   for (std::size_t n = 0; n < cells.size(); ++n) {
     if (cells.is_stem[n] == 0U) organs.push_back(cells.centers[n]);
   }
-  const NeighborGrid grid(organs, 0.5F * shape_radius);
+  const NeighborGrid grid(organs, shape_radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(organs, grid, shape_radius);
   LocalShape upright;
   upright.linearity = 1.0F;
@@ -317,8 +317,7 @@ struct PlacesOfPieces {
         centers.push_back(cells.centers[places.back().cell]);
       }
     }
-    constexpr float kGridShare = 0.35F;  // of the reach: balls made of small cells are round
-    grid.emplace(centers, kGridShare * reach);
+    grid.emplace(centers, reach);
   }
 
   std::size_t stride;
@@ -752,7 +751,7 @@ void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vec
   const std::size_t count = pieces.cells.size();
   const std::vector<std::vector<Misfit>> misfits_of =
       compareForms(cells, pieces, axes, form, misfit_weight);
-  const NeighborGrid grid(cells.centers, 0.5F * reach);
+  const NeighborGrid grid(cells.centers, reach);
   std::vector<float> least(count, kNone);
   std::vector<std::int32_t> plant_of(count, -1);
   std::vector<float> cost(count, kNone);

@@ -196,7 +196,7 @@ SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters 
 SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wanted) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   if (points.empty()) return assemble(block, {}, {}, {});
-  constexpr float kCell = 0.5F;  // of the radius of most queries
+  constexpr float kCell = 1.0F;  // of the radius of most queries
   NeighborGrid grid(points, kCell * static_cast<float>(wanted.seed_radius));
   SegmentationParameters parameters = adaptToDensity(points, grid, wanted);
   const auto radius = static_cast<float>(parameters.seed_radius);
