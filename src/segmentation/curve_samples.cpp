@@ -117,7 +117,6 @@ CurveSamples::Share CurveSamples::expect(const Run& run, const StemCurve& curve,
   Floats stem{};
   Floats all{};
   const Floats none{};
-  const Integers lane{0, 1, 2, 3};
   for (std::size_t i = run.begin; i < run.end; i += kLanes) {
     const Floats share = loadFloats(&shares_[i]);
     const Floats u = loadFloats(&u_[i]);
@@ -125,8 +124,7 @@ CurveSamples::Share CurveSamples::expect(const Run& run, const StemCurve& curve,
     const Floats x = u - (low.x() + share * step.x());
     const Floats y = v - (low.y() + share * step.y());
     const Floats squared = x * x + y * y;
-    const Integers counts =
-        (lane < static_cast<std::int32_t>(run.end - i)) & (squared <= reach * reach);
+    const Integers counts = lanesBefore(run.end - i) & (squared <= reach * reach);
     if (!anyOf(counts)) {
       store(none, &posterior[i]);
       continue;
@@ -138,7 +136,7 @@ CurveSamples::Share CurveSamples::expect(const Run& run, const StemCurve& curve,
     Floats norm = allOf(clutter);
     if (kSurface) {
       constexpr float kTiny = 1e-12F;  // [m^2] on the axis
-      inverse = inverseRootOf(largerOf(squared, allOf(kTiny)));
+      inverse = 1.0F / squareRootOf(largerOf(squared, allOf(kTiny)));
       height = loadFloats(&heights_[i]);
       const Floats radius = largerOf(foot_radius + taper * height, allOf(thinnest));
       const Floats beyond = squared * inverse - radius;
@@ -147,6 +145,10 @@ CurveSamples::Share CurveSamples::expect(const Run& run, const StemCurve& curve,
     }
     constexpr float kFarthest = 5.6F;  // standard deviations: exp(-16) changes nothing
     const Integers near = counts & (off < kFarthest * kFarthest);
+    if (!anyOf(near)) {
+      store(none, &posterior[i]);
+      continue;
+    }
     const Floats density = exponentialOf(near ? -0.5F * off : none);
     const Floats probable = near ? density / (density + norm) : none;
     store(probable, &posterior[i]);

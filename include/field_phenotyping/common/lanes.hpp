@@ -113,18 +113,6 @@ inline Floats exponentialOf(const Floats& values) {
   return series * scale;
 }
 
-/// 1 / square root of values > 0, exact to six digits.
-inline Floats inverseRootOf(const Floats& values) {
-  Integers bits;
-  std::memcpy(&bits, &values, sizeof bits);
-  bits = 0x5F3759DF - (bits >> 1);  // half the exponent, negated: good to one digit
-  Floats root;
-  std::memcpy(&root, &bits, sizeof root);
-  const Floats half = 0.5F * values;
-  for (int round = 0; round < 3; ++round) root *= 1.5F - half * root * root;
-  return root;
-}
-
 /// Logarithms of values >= 1, exact to 1e-6 of them or of 1.
 inline Floats logarithmOf(const Floats& values) {
   Integers bits;

@@ -110,16 +110,16 @@ std::optional<StemAxis> axisOf(const StemCurve& curve, const ChordFrame& frame, 
 class CurveEquations {
  public:
   explicit CurveEquations(std::size_t nodes)
-      : lower_(2U * nodes, std::array<double, kBand + 1U>{}),
-        right_(2U * nodes, Eigen::Vector3d::Zero()) {}
+      : lower_(kBand + 2U * nodes, std::array<double, kBand + 1U>{}),
+        right_(kBand + 2U * nodes, Eigen::Vector4d::Zero()) {}
 
   /// Adds to the coefficient of two node unknowns, row >= column >= row - 4.
   void add(std::size_t row, std::size_t column, double value) {
-    lower_[row][row - column] += value;
+    lower_[kBand + row][row - column] += value;
   }
   /// Adds to the right side and to the coefficients of radius and taper in a node's equation.
   void addRight(std::size_t row, const Eigen::Vector3d& right_radius_taper) {
-    right_[row] += right_radius_taper;
+    right_[kBand + row].head<3>() += right_radius_taper;
   }
   void addRadius(const Eigen::Matrix2d& normal, const Eigen::Vector2d& right) {
     radius_normal_ += normal;
@@ -131,7 +131,7 @@ class CurveEquations {
   void addBending(double spacing) {
     constexpr double kBend = 0.05;  // [1/sqrt(m)] what the slope wanders by
     const double bend = 1.0 / (kBend * kBend * std::pow(spacing, 3));
-    for (std::size_t i = 0; i + 4U < right_.size(); ++i) {
+    for (std::size_t i = 0; i + kBand < size(); ++i) {
       add(i, i, bend);
       add(i + 2U, i + 2U, 4.0 * bend);
       add(i + 4U, i + 4U, bend);
@@ -145,7 +145,7 @@ class CurveEquations {
   /// @param stddev of the places [m]
   void addHold(const std::vector<Eigen::Vector2d>& places, double stddev = kFree) {
     const double hold = 1.0 / (stddev * stddev);
-    for (std::size_t i = 0; i < right_.size(); ++i) {
+    for (std::size_t i = 0; i < size(); ++i) {
       add(i, i, hold);
       const double held = places[i / 2U][static_cast<Eigen::Index>(i % 2U)];
       addRight(i, {hold * held, 0.0, 0.0});
@@ -155,48 +155,51 @@ class CurveEquations {
 
   /// The node unknowns, then radius and taper if wanted. Not finite where there is no solution.
   Eigen::VectorXd solve(bool with_radius) && {
-    const std::size_t size = lower_.size();
-    const std::vector<Eigen::Vector3d> border = right_;
+    const std::size_t end = lower_.size();
+    const std::vector<Eigen::Vector4d> border = right_;
     // Cholesky, row by row; the diagonal is kept inverted.
-    for (std::size_t i = 0; i < size; ++i) {
-      for (std::size_t column = i - std::min(i, kBand); column <= i; ++column) {
-        double rest = lower_[i][i - column];
-        for (std::size_t k = i - std::min(i, kBand); k < column; ++k) {
-          if (column - k <= kBand) rest -= lower_[i][i - k] * lower_[column][column - k];
-        }
-        lower_[i][i - column] = column < i ? rest * lower_[column][0] : 1.0 / std::sqrt(rest);
+    for (std::size_t i = kBand; i < end; ++i) {
+      std::array<double, kBand + 1U>& row = lower_[i];
+      for (std::size_t before = kBand; before > 0U; --before) {
+        const std::array<double, kBand + 1U>& other = lower_[i - before];
+        for (std::size_t k = kBand; k > before; --k) row[before] -= row[k] * other[k - before];
+        row[before] *= other[0];
       }
-      for (std::size_t k = i - std::min(i, kBand); k < i; ++k) {
-        right_[i] -= lower_[i][i - k] * right_[k];
+      for (std::size_t k = kBand; k > 0U; --k) row[0] -= row[k] * row[k];
+      row[0] = 1.0 / std::sqrt(row[0]);
+      for (std::size_t k = kBand; k > 0U; --k) right_[i] -= row[k] * right_[i - k];
+      right_[i] *= row[0];
+    }
+    for (std::size_t i = end; i-- > kBand;) {
+      for (std::size_t k = 1U; k <= kBand && i + k < end; ++k) {
+        right_[i] -= lower_[i + k][k] * right_[i + k];
       }
       right_[i] *= lower_[i][0];
     }
-    for (std::size_t i = size; i-- > 0;) {
-      for (std::size_t k = i + 1U; k < std::min(i + kBand + 1U, size); ++k) {
-        right_[i] -= lower_[k][k - i] * right_[k];
-      }
-      right_[i] *= lower_[i][0];
-    }
-    Eigen::VectorXd solved(static_cast<Eigen::Index>(size + (with_radius ? 2U : 0U)));
+    Eigen::VectorXd solved(static_cast<Eigen::Index>(size() + (with_radius ? 2U : 0U)));
     Eigen::Vector2d radius = Eigen::Vector2d::Zero();
     if (with_radius) {
-      for (std::size_t i = 0; i < size; ++i) {
-        radius_normal_ -= border[i].tail<2>() * right_[i].tail<2>().transpose();
-        radius_right_ -= border[i].tail<2>() * right_[i].x();
+      for (std::size_t i = kBand; i < end; ++i) {
+        radius_normal_ -= border[i].segment<2>(1) * right_[i].segment<2>(1).transpose();
+        radius_right_ -= border[i].segment<2>(1) * right_[i].x();
       }
       radius = radius_normal_.inverse() * radius_right_;
       solved.tail<2>() = radius;
     }
-    for (std::size_t i = 0; i < size; ++i) {
-      solved[static_cast<Eigen::Index>(i)] = right_[i].x() - right_[i].tail<2>().dot(radius);
+    for (std::size_t i = 0; i < size(); ++i) {
+      const Eigen::Vector4d& right = right_[kBand + i];
+      solved[static_cast<Eigen::Index>(i)] = right.x() - right.segment<2>(1).dot(radius);
     }
     return solved;
   }
 
  private:
   static constexpr std::size_t kBand = 4U;
+  std::size_t size() const { return lower_.size() - kBand; }  // node unknowns
+
+  // After kBand empty rows, so that none needs to know how many lie before it.
   std::vector<std::array<double, kBand + 1U>> lower_;  // of a row, from the diagonal leftwards
-  std::vector<Eigen::Vector3d> right_;                 // right side, radius, taper
+  std::vector<Eigen::Vector4d> right_;                 // right side, radius, taper, nothing
   Eigen::Matrix2d radius_normal_ = Eigen::Matrix2d::Zero();
   Eigen::Vector2d radius_right_ = Eigen::Vector2d::Zero();
 };
