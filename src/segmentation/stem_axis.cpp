@@ -10,10 +10,12 @@ namespace field_phenotyping {
 StemAxis::StemAxis(std::vector<Node> nodes) : nodes_(std::move(nodes)) {
   if (nodes_.size() < 2U) throw std::invalid_argument("StemAxis: at least two nodes are needed");
   arc_lengths_.resize(nodes_.size());
+  directions_.reserve(nodes_.size() - 1U);
   for (std::size_t i = 1; i < nodes_.size(); ++i) {
-    const float step = (nodes_[i].position - nodes_[i - 1].position).norm();
-    if (!(step > 0.0F)) throw std::invalid_argument("StemAxis: two nodes in one place");
-    arc_lengths_[i] = arc_lengths_[i - 1] + step;
+    const Eigen::Vector3f step = nodes_[i].position - nodes_[i - 1].position;
+    if (!(step.norm() > 0.0F)) throw std::invalid_argument("StemAxis: two nodes in one place");
+    arc_lengths_[i] = arc_lengths_[i - 1] + step.norm();
+    directions_.emplace_back(step / (arc_lengths_[i] - arc_lengths_[i - 1]));
     rising_ = rising_ && nodes_[i].position.z() > nodes_[i - 1].position.z();
   }
 }
@@ -24,16 +26,20 @@ std::size_t StemAxis::segmentAt(float s) const {
 }
 
 Eigen::Vector3f StemAxis::directionAt(float s) const {
-  const std::size_t i = segmentAt(s);
-  return (nodes_[i + 1].position - nodes_[i].position) / (arc_lengths_[i + 1] - arc_lengths_[i]);
+  return directions_[segmentAt(s)];
 }
 
 Eigen::Vector3f StemAxis::pointAt(float s) const {
-  return nodes_[segmentAt(s)].position + (s - arc_lengths_[segmentAt(s)]) * directionAt(s);
+  const std::size_t i = segmentAt(s);
+  return nodes_[i].position + (s - arc_lengths_[i]) * directions_[i];
 }
 
 float StemAxis::radiusAt(float s) const {
-  const std::size_t i = segmentAt(s);
+  return radiusAt(s, segmentAt(s));
+}
+
+float StemAxis::radiusAt(float s, std::size_t segment) const {
+  const std::size_t i = segment;
   const float share =
       std::clamp((s - arc_lengths_[i]) / (arc_lengths_[i + 1] - arc_lengths_[i]), 0.0F, 1.0F);
   return (1.0F - share) * nodes_[i].radius + share * nodes_[i + 1].radius;
@@ -82,25 +88,24 @@ StemAxis StemAxis::extendedBy(float length) const {
 }
 
 StemAxis::Projection StemAxis::project(const Eigen::Vector3f& point) const {
-  Projection best;
-  best.distance = std::numeric_limits<float>::max();
+  float least = std::numeric_limits<float>::max();  // squared distance
+  std::size_t nearest = 0U;
+  float along = 0.0F;  // the nearest segment
   const std::size_t last = nodes_.size() - 2;
   const auto look = [&](std::size_t i) {
-    const Eigen::Vector3f& low = nodes_[i].position;
-    const float length = arc_lengths_[i + 1] - arc_lengths_[i];
-    const Eigen::Vector3f direction = (nodes_[i + 1].position - low) / length;
-    float t = direction.dot(point - low);
+    const Eigen::Vector3f& direction = directions_[i];
+    const Eigen::Vector3f away = point - nodes_[i].position;
+    float t = direction.dot(away);
     if (i > 0) t = std::max(t, 0.0F);
-    if (i < last) t = std::min(t, length);
-    const Eigen::Vector3f foot = low + t * direction;
-    const float distance = (point - foot).norm();
-    if (distance < best.distance) {
-      best.distance = distance;
-      best.arc_length = arc_lengths_[i] + t;
-      best.foot = foot;
-      best.direction = direction;
+    if (i < last) t = std::min(t, arc_lengths_[i + 1] - arc_lengths_[i]);
+    const float squared = (away - t * direction).squaredNorm();
+    if (squared < least) {
+      least = squared;
+      nearest = i;
+      along = t;
     }
   };
+  const auto mayBeNearer = [&](float apart) { return apart <= 0.0F || apart * apart <= least; };
   if (rising_) {
     // Outwards from the point's own height, until no segment can be nearer.
     const auto above =
@@ -108,18 +113,22 @@ StemAxis::Projection StemAxis::project(const Eigen::Vector3f& point) const {
                          [](float z, const Node& node) { return z < node.position.z(); });
     const auto middle = static_cast<std::size_t>(above - nodes_.begin()) - 1U;
     look(middle);
-    for (std::size_t i = middle + 1U;
-         i <= last && nodes_[i].position.z() - point.z() <= best.distance; ++i) {
+    for (std::size_t i = middle + 1U; i <= last && mayBeNearer(nodes_[i].position.z() - point.z());
+         ++i) {
       look(i);
     }
-    for (std::size_t i = middle; i > 0U && point.z() - nodes_[i].position.z() <= best.distance;
-         --i) {
+    for (std::size_t i = middle; i > 0U && mayBeNearer(point.z() - nodes_[i].position.z()); --i) {
       look(i - 1U);
     }
   } else {
     for (std::size_t i = 0; i <= last; ++i) look(i);
   }
-  best.radius = radiusAt(best.arc_length);
+  Projection best;
+  best.direction = directions_[nearest];
+  best.foot = nodes_[nearest].position + along * best.direction;
+  best.distance = (point - best.foot).norm();
+  best.arc_length = arc_lengths_[nearest] + along;
+  best.radius = radiusAt(best.arc_length, nearest);
   return best;
 }
 

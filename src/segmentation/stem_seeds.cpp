@@ -164,14 +164,19 @@ void normaliseEvidence(std::vector<Cluster>& clusters) {
   for (Cluster& cluster : clusters) cluster.evidence = cluster.weight / (cluster.weight + half);
 }
 
+/// Shift from cluster to cluster beside what their slopes foretell, at most [m].
+float toleranceOver(float rise) {
+  constexpr float kTolerance = 0.02F;
+  constexpr float kTolerancePerMetre = 0.20F;
+  return kTolerance + kTolerancePerMetre * rise;
+}
+
 /// How badly `high` continues `low`: 0 is straight on, 1 the most that is accepted; above 1: not.
 float misalignment(const Cluster& low, const Cluster& high) {
   const float rise = high.center.z() - low.center.z();
   const Eigen::Vector2f shift = (high.center - low.center).head<2>();
   const Eigen::Vector2f expected = 0.5F * (low.slope + high.slope) * rise;
-  constexpr float kTolerance = 0.02F;
-  constexpr float kTolerancePerMetre = 0.20F;
-  return (shift - expected).norm() / (kTolerance + kTolerancePerMetre * rise);
+  return (shift - expected).norm() / toleranceOver(rise);
 }
 
 struct Chain {
@@ -190,23 +195,33 @@ std::vector<std::vector<Link>> linkClusters(const std::vector<Cluster>& clusters
                                             const NeighborGrid& grid, float slab_height,
                                             float max_lean, const StandLean& stand) {
   const float reach = std::hypot(kMaxGap, kMaxGap * std::tan(max_lean) + 0.03F);
+  float steepest = 0.0F;
+  for (const Cluster& cluster : clusters) steepest = std::max(steepest, cluster.slope.norm());
   std::vector<std::vector<Link>> links(clusters.size());
   for (std::size_t high = 0; high < clusters.size(); ++high) {
     const Eigen::Vector3f& center = clusters[high].center;
-    grid.forEachWithin(center, reach, [&](std::uint32_t low, float) {
-      const int skipped = clusters[high].slab - clusters[low].slab - 1;
-      if (skipped < 0 || center.z() <= clusters[low].center.z()) return;
-      if (static_cast<float>(skipped) * slab_height > kMaxGap) return;
-      const float bend = misalignment(clusters[low], clusters[high]);
-      if (bend > 1.0F) return;
-      const Eigen::Vector3f step = center - clusters[low].center;
-      constexpr float kCenterError = 0.012F;  // [m]
-      constexpr float kUsual = 4.0F;          // squared deviation that most stay within
-      const float leaning = stand.deviation(step.head<2>() / step.z(), kCenterError / step.z());
-      const float excess = std::max(leaning * leaning - kUsual, 0.0F);
-      links[high].push_back(
-          {low, kGapCost * static_cast<float>(skipped) + 0.5F * bend * bend + 0.5F * excess});
-    });
+    // What lies below and no farther aside than any slopes there could foretell.
+    const float aside =
+        0.5F * (clusters[high].slope.norm() + steepest) * reach + toleranceOver(reach);
+    const Eigen::Vector3f corner(aside, aside, reach);
+    const Eigen::Vector3f upper_corner(aside, aside, 0.0F);
+    grid.forEachNearBox(center - corner, center + upper_corner, 0.0F,
+                        [&](std::uint32_t low, const Eigen::Vector3f& place) {
+                          if ((place - center).squaredNorm() > reach * reach) return;
+                          const int skipped = clusters[high].slab - clusters[low].slab - 1;
+                          if (skipped < 0 || center.z() <= clusters[low].center.z()) return;
+                          if (static_cast<float>(skipped) * slab_height > kMaxGap) return;
+                          const float bend = misalignment(clusters[low], clusters[high]);
+                          if (bend > 1.0F) return;
+                          const Eigen::Vector3f step = center - clusters[low].center;
+                          constexpr float kCenterError = 0.012F;  // [m]
+                          constexpr float kUsual = 4.0F;  // squared deviation that most stay within
+                          const float leaning =
+                              stand.deviation(step.head<2>() / step.z(), kCenterError / step.z());
+                          const float excess = std::max(leaning * leaning - kUsual, 0.0F);
+                          links[high].push_back({low, kGapCost * static_cast<float>(skipped) +
+                                                          0.5F * bend * bend + 0.5F * excess});
+                        });
   }
   return links;
 }

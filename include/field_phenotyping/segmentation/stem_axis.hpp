@@ -52,10 +52,12 @@ class StemAxis {
 
  private:
   std::size_t segmentAt(float s) const;
+  float radiusAt(float s, std::size_t segment) const;
 
   std::vector<Node> nodes_;
   std::vector<float> arc_lengths_;
-  bool rising_ = true;  ///< every node is higher than the one before
+  std::vector<Eigen::Vector3f> directions_;  // of the segments, of length 1
+  bool rising_ = true;                       ///< every node is higher than the one before
 };
 
 }  // namespace field_phenotyping
