@@ -15,7 +15,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/completion/stem_frame.hpp"
 #include "field_phenotyping/completion/surface_index.hpp"
-#include "field_phenotyping/pipeline.hpp"
+#include "found_stem.hpp"
 #include "simulation/maize_plant.hpp"
 
 namespace field_phenotyping::benchmark {
@@ -170,31 +170,6 @@ StemFrame frameOf(const StemAxis& axis) {
   return StemFrame(curve);
 }
 
-/// The stem of the plant that has most stem points, as the whole pipeline finds it.
-struct FoundStem {
-  std::shared_ptr<const CompletedBlock> block;
-  const Plant* plant = nullptr;
-};
-
-FoundStem findStem(const CloudFile& file, const std::string& path) {
-  Parameters parameters;
-  parameters.completion.enabled = false;
-  const PipelineResult result = phenotypeCloud(file.cloud, parameters);
-  FoundStem found;
-  for (const auto& block : result.blocks) {
-    for (const Plant& plant : block->segmented->plants) {
-      if (!plant.owned) continue;
-      if (found.plant == nullptr || plant.stem.size() > found.plant->stem.size()) {
-        found = {block, &plant};
-      }
-    }
-  }
-  if (found.plant == nullptr) {
-    throw std::runtime_error(path + " shows no stem; it must hold one plant, z up, in metres");
-  }
-  return found;
-}
-
 /// Where the branches of a fork lie beside the axis at height `h` [m].
 Vector3d forkShift(const Damage& damage, const Stem& stem, double h, bool left) {
   const double above = std::max(h - 0.5 * stem.height, 0.0);
@@ -282,7 +257,7 @@ GappyStem simulatedStem(const SimulatedStems& settings, int index, const Damage&
 
 GappyStem realStem(const std::string& path, std::uint64_t seed, const Damage& damage) {
   const CloudFile file = readCloudFile(path);
-  const FoundStem found = findStem(file, path);
+  const FoundStem found = findStem(file.cloud, path);
   const PointCloud& cloud = found.block->segmented->cloud;
   GappyStem result;
   result.name = std::filesystem::path(path).stem().string();

@@ -227,6 +227,71 @@ def completion_gaps(path, figures, goals):
     _save(figure, path)
 
 
+def estimator_curves(path, curves, most_of_bound):
+    """Bias, RMSE over the Cramer-Rao bound, and coverage of the diameter, by what is varied.
+
+    curves: {axis: [(value, figures of measurement_benchmark.summarise_pieces())]}
+    """
+    figure, panels = plt.subplots(
+        3, len(curves), figsize=(3.4 * len(curves), 8.0), constrained_layout=True, squeeze=False
+    )
+    for k, (axis, points) in enumerate(curves.items()):
+        values = [value for value, _ in points]
+
+        def drawn(row, name, scale, **style):
+            panels[row, k].plot(
+                values, [scale * rows.get(name, np.nan) for _, rows in points], 'o-', **style
+            )
+
+        drawn(0, 'circle_bias', 1e3, color='0.6', label='circle')
+        drawn(0, 'bias', 1e3, color='tab:green', label='ours')
+        panels[0, k].axhline(0.0, color='0.3', linewidth=1)
+        panels[0, k].set_ylim(-3.0, 6.0)
+        drawn(1, 'of_bound', 1.0, color='tab:green')
+        panels[1, k].axhline(1.0, color='0.3', linewidth=1)
+        panels[1, k].axhline(most_of_bound, color='tab:red', linestyle='--', linewidth=1)
+        panels[1, k].set_ylim(0.0, 3.0)
+        drawn(2, 'coverage', 1.0, color='tab:green')
+        panels[2, k].axhline(0.95, color='0.3', linewidth=1)
+        panels[2, k].set_ylim(0.6, 1.0)
+        for row, label in enumerate(
+            ('bias of 2a [mm]', 'RMSE / Cramer-Rao bound [-]', 'coverage of ±1.96 σ [-]')
+        ):
+            panels[row, k].set_xlabel(axis)
+            panels[row, k].set_ylabel(label if k == 0 else '')
+            panels[row, k].grid(alpha=0.3)
+            if axis.startswith('points'):
+                panels[row, k].set_xscale('log')
+    panels[0, 0].legend(fontsize=8)
+    _save(figure, path)
+
+
+def diameter_scatter(path, fields):
+    """Measured against true diameters with their bars; fields: [(title, truth, value, stddev)]."""
+    figure, panels = plt.subplots(
+        1, len(fields), figsize=(4.2 * len(fields), 4.4), constrained_layout=True, squeeze=False
+    )
+    for axes, (title, truth, value, stddev) in zip(panels[0], fields):
+        axes.errorbar(
+            1e3 * truth,
+            1e3 * value,
+            1.96e3 * np.nan_to_num(stddev),
+            fmt='o',
+            markersize=3,
+            color='tab:green',
+            ecolor='0.8',
+            elinewidth=1,
+        )
+        span = np.array([1e3 * np.min(truth) - 1.0, 1e3 * np.max(truth) + 1.0])
+        axes.plot(span, span, '--', color='0.3')
+        axes.set_ylim(span[0] - 3.0, span[1] + 3.0)
+        axes.set_title(title, fontsize=9)
+        axes.set_xlabel('true stem diameter [mm]')
+        axes.set_ylabel('measured, ±1.96 σ [mm]')
+        axes.grid(alpha=0.3)
+    _save(figure, path)
+
+
 def _values(rows, trait):
     matched = [row for row in rows if row['status'] == _MATCHED]
     return [
