@@ -173,7 +173,8 @@ json withTrueLabels(const SegmentedBlock& block, const Plant& plant,
                     std::vector<Eigen::Vector3f> stem, const Options& options,
                     const MeasurementParameters& parameters) {
   const SegmentedBlock only = blockOf(block, plant, std::move(stem));
-  const StemDiameter fit = measureStemDiameter(only, only.plants.front(), parameters);
+  const StemDiameter fit =
+      measureStemDiameter(only, only.plants.front(), parameters, weakPrior(parameters));
   json row = {{"true_points", describe(fit.major)}, {"true_points_flags", flagNames(fit.flags)}};
   if (!std::isfinite(fit.major.value)) return row;
   std::vector<Eigen::Vector2d> feet;
@@ -228,7 +229,8 @@ json measureField(const Options& options) {
                   {"stem_points", ours.stem_points}};
       row["diameter"] = describe(ours.stem_diameter);
       row["height"] = describe(ours.height);
-      row["paper_diameter"] = describe(measureStemDiameter(block, plant, paper).major);
+      row["paper_diameter"] =
+          describe(measureStemDiameter(block, plant, paper, weakPrior(paper)).major);
       row["paper_height"] = describe(measurePlantHeight(block, plant, paper).height);
 
       const auto at = block.cloud.points.begin();
@@ -273,7 +275,8 @@ json measureReal(const Options& options) {
     const double top = kTopShare * static_cast<double>(plant.axis.length());
     for (double height = 2.0 * kStep; height < top; height += kStep) {
       parameters.diameter_height = height;
-      const StemDiameter whole = measureStemDiameter(block, plant, parameters);
+      const StemDiameter whole =
+          measureStemDiameter(block, plant, parameters, weakPrior(parameters));
       for (int draw = 0; draw < options.draws; ++draw) {
         simulation::RandomStream random(options.piece.seed, simulation::Stream::kThinning,
                                         static_cast<std::uint64_t>(draw));
@@ -285,7 +288,8 @@ json measureReal(const Options& options) {
           thinned.push_back(block.cloud.points[i] + (options.piece.noise * noise).cast<float>());
         }
         const SegmentedBlock only = blockOf(block, plant, std::move(thinned));
-        const StemDiameter thin = measureStemDiameter(only, only.plants.front(), parameters);
+        const StemDiameter thin =
+            measureStemDiameter(only, only.plants.front(), parameters, weakPrior(parameters));
         rows.push_back({{"plant", std::filesystem::path(path).stem().string()},
                         {"height", height},
                         {"draw", draw},

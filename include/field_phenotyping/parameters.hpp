@@ -247,12 +247,14 @@ struct MeasurementParameters {
   std::string mode = "robust";
   double diameter_height = 0.7;
   double diameter_height_share = 0.4;
-  double diameter_span = 0.4;
+  double diameter_span = 0.9;
   double noise = 0.0;
   int min_points = 12;
   double min_arc = 0.33;
   double max_shift = 0.3;
   double ellipticity_prior = 0.06;
+  bool block_shape_prior = true;
+  bool block_diameter_prior = false;
   double min_quality = 0.3;
 
   template <class Self, class Visitor>
@@ -286,6 +288,14 @@ struct MeasurementParameters {
                     "its points "
                     "are looked at; 0: circles"},
       p.ellipticity_prior, 0.0, 1.0);
+    v(ParameterInfo{"block_shape_prior", "",
+                    "noise, taper and ellipticity of a stem are expected to be like those of the "
+                    "block's other stems"},
+      p.block_shape_prior, false, true);
+    v(ParameterInfo{"block_diameter_prior", "",
+                    "the same of its diameter, which pulls diameters towards the block's mean: not "
+                    "for trials whose plots differ; needs block_shape_prior"},
+      p.block_diameter_prior, false, true);
     v(ParameterInfo{"min_quality", "",
                     "plants whose stem scores less (Q of Eq 9) are flagged low_confidence"},
       p.min_quality, 0.0, 1.0);

@@ -8,6 +8,7 @@
 #include "field_phenotyping/measurement/row_spacing.hpp"
 #include "field_phenotyping/measurement/stem_coverage.hpp"
 #include "field_phenotyping/measurement/stem_diameter.hpp"
+#include "field_phenotyping/measurement/stem_population.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -26,8 +27,21 @@ bool reachesBorder(const SegmentedBlock& block, const Plant& plant) {
   return false;
 }
 
+/// What the block's stems, those of its margin too, say of each other.
+CrossSectionPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& parameters) {
+  const CrossSectionPrior weak = weakPrior(parameters);
+  if (parameters.mode == "paper" || !parameters.block_shape_prior) return weak;
+  std::vector<StemCrossSection> fits(block.plants.size());
+  parallelFor(fits.size(), [&](std::size_t i) {
+    fits[i] = measureStemDiameter(block, block.plants[i], parameters, weak).section;
+  });
+  return populationPrior(
+      fits, weak,
+      parameters.block_diameter_prior ? PopulationPrior::kShapeAndSize : PopulationPrior::kShape);
+}
+
 Phenotype measurePlant(const CompletedBlock& completed, std::size_t index, const Trait& spacing,
-                       const MeasurementParameters& parameters) {
+                       const CrossSectionPrior& prior, const MeasurementParameters& parameters) {
   const SegmentedBlock& block = *completed.segmented;
   const Plant& plant = block.plants[index];
   Phenotype phenotype;
@@ -39,7 +53,7 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index, const
   const PlantHeight height = measurePlantHeight(block, plant, parameters);
   phenotype.height = height.height;
 
-  const StemDiameter diameter = measureStemDiameter(block, plant, parameters);
+  const StemDiameter diameter = measureStemDiameter(block, plant, parameters, prior);
   phenotype.stem_diameter = diameter.major;
   phenotype.stem_diameter_minor = diameter.minor;
   phenotype.stem_diameter_equivalent = diameter.equivalent;
@@ -81,9 +95,10 @@ std::vector<Phenotype> measureBlock(const CompletedBlock& block,
     if (plants[i].owned) owned.push_back(i);
   }
   const std::vector<Trait> spacings = measureRowSpacing(*block.segmented);
+  const CrossSectionPrior prior = blockPrior(*block.segmented, parameters);
   std::vector<Phenotype> phenotypes(owned.size());
   parallelFor(owned.size(), [&](std::size_t i) {
-    phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], parameters);
+    phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], prior, parameters);
   });
   return phenotypes;
 }

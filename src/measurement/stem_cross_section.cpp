@@ -15,18 +15,21 @@
 namespace field_phenotyping {
 namespace {
 
-// The parameters, in this order: center, tilt, curvature (x and y each), radius, change of radius
-// with height, ellipticity (S = r I + [c s; s -c]), log of the noise.
+// The parameters, in this order: center, tilt, curvature, twist (the powers of height from 0 to 3,
+// x and y each), radius, its change with height and with the square of height, ellipticity (S = r I
+// + [c s; s -c]), log of the noise.
 enum Index {
   kCenter = 0,
   kTilt = 2,
   kCurvature = 4,
-  kRadius = 6,
-  kTaper = 7,
-  kEllipse = 8,
-  kNoise = 10
+  kTwist = 6,
+  kRadius = 8,
+  kTaper = 9,
+  kTaperChange = 10,
+  kEllipse = 11,
+  kNoise = 13
 };
-constexpr int kSize = 11;
+constexpr int kSize = 14;
 using Parameters = Eigen::Matrix<double, kSize, 1>;
 using Information = Eigen::Matrix<double, kSize, kSize>;
 
@@ -48,15 +51,20 @@ constexpr double kMinNoise = 1e-3;  // relative to the radius
 constexpr double kSizeStddev = 0.35;  // relative to what their width says
 constexpr double kTiltStddev = 0.3;
 constexpr double kCurvatureStddev = 0.5;  // [1/m]
-constexpr double kTaperMean = -0.15;      // relative to the radius [1/m]
-constexpr double kTaperStddev = 0.25;     // relative to the radius [1/m]
+constexpr double kTwistStddev = 0.3;      // [1/m^2]
 constexpr double kNoiseMean = 0.2;        // relative to the radius
 constexpr double kLogNoiseStddev = 1.0;
 constexpr double kLogNoiseKnown = 1e-3;
 
 Eigen::Vector2d centerAt(const Parameters& p, double height) {
-  return p.segment<2>(kCenter) + height * p.segment<2>(kTilt) +
-         height * height * p.segment<2>(kCurvature);
+  return p.segment<2>(kCenter) +
+         height * (p.segment<2>(kTilt) +
+                   height * (p.segment<2>(kCurvature) + height * p.segment<2>(kTwist)));
+}
+
+double radiusAt(const Parameters& p, double height) {
+  const double radius = p[kRadius] + height * (p[kTaper] + height * p[kTaperChange]);
+  return std::max(radius, 0.1 * p[kRadius]);
 }
 
 /// The ellipse at one height.
@@ -66,7 +74,7 @@ struct Ellipse {
 };
 
 Ellipse ellipseAt(const Parameters& p, double height) {
-  const double radius = std::max(p[kRadius] + height * p[kTaper], 0.1 * p[kRadius]);
+  const double radius = radiusAt(p, height);
   const double c = p[kEllipse];
   const double s = p[kEllipse + 1];
   Ellipse ellipse;
@@ -150,8 +158,10 @@ Eigen::Matrix<double, kSize, 3> jacobianOf(const Motion& motion, double height) 
   jacobian.block<2, 1>(kCenter, 0) = motion.head<2>();
   jacobian.block<2, 1>(kTilt, 0) = height * motion.head<2>();
   jacobian.block<2, 1>(kCurvature, 0) = height * height * motion.head<2>();
+  jacobian.block<2, 1>(kTwist, 0) = height * height * height * motion.head<2>();
   jacobian(kRadius, 1) = motion[2];
   jacobian(kTaper, 1) = height * motion[2];
+  jacobian(kTaperChange, 1) = height * height * motion[2];
   jacobian.block<2, 1>(kEllipse, 1) = motion.tail<2>();
   jacobian(kNoise, 2) = 1.0;
   return jacobian;
@@ -207,7 +217,8 @@ class CrossSectionSolver {
   const Information& information() const { return evaluation_.observed; }
   double outlierShare() const { return outlier_share_; }
   double surfacePoints() const { return count() - evaluation_.outliers; }
-  double freedom() const { return surfacePoints() - fitted_; }
+  /// Points that the noise is known from, beyond those that the shape takes; its prior counts too.
+  double freedom() const { return surfacePoints() - fitted_ + 0.5 * prior_weight_[kNoise]; }
 
   /// Covariance by how much patches of the surface disagree ("sandwich"): errors that neighbouring
   /// points share, such as drift of the map or a node, show in it.
@@ -300,8 +311,10 @@ class CrossSectionSolver {
     evaluation.score.segment<2>(kCenter) += bend.head<2>();
     evaluation.score.segment<2>(kTilt) += height * bend.head<2>();
     evaluation.score.segment<2>(kCurvature) += height * height * bend.head<2>();
+    evaluation.score.segment<2>(kTwist) += height * height * height * bend.head<2>();
     evaluation.score[kRadius] += bend[2];
     evaluation.score[kTaper] += height * bend[2];
+    evaluation.score[kTaperChange] += height * height * bend[2];
     evaluation.score.segment<2>(kEllipse) += bend.tail<2>();
   }
 
@@ -317,11 +330,19 @@ class CrossSectionSolver {
     const double noise = std::exp(parameters_[kNoise]);
     const double size =
         std::sqrt(2.0 * std::max(width_variance_ - noise * noise, 0.25 * width_variance_));
-    set(kRadius, 1, size, kSizeStddev * size);
-    set(kTaper, 1, kTaperMean * radius, kTaperStddev * radius);
+    if (prior_.radius.stddev > 0.0) {
+      set(kRadius, 1, prior_.radius.value, prior_.radius.stddev);
+    } else {
+      set(kRadius, 1, size, kSizeStddev * size);
+    }
+    set(kTwist, 2, 0.0, kTwistStddev);
+    set(kTaper, 1, prior_.taper.value * radius, prior_.taper.stddev * radius);
+    set(kTaperChange, 1, prior_.taper_change.value * radius, prior_.taper_change.stddev * radius);
     set(kEllipse, 2, 0.0, std::max(prior_.ellipticity_stddev, 1e-4) * radius);
     if (prior_.noise > 0.0) {
       set(kNoise, 1, std::log(std::max(prior_.noise, kMinNoise * radius)), kLogNoiseKnown);
+    } else if (prior_.log_noise.stddev > 0.0) {
+      set(kNoise, 1, prior_.log_noise.value, prior_.log_noise.stddev);
     } else {
       set(kNoise, 1, std::log(kNoiseMean * radius), kLogNoiseStddev);
     }
@@ -392,7 +413,8 @@ Parameters circleStart(const std::vector<Eigen::Vector3d>& points, const Eigen::
   Parameters start = Parameters::Zero();
   start.segment<2>(kCenter) = center;
   start[kRadius] = radius;
-  start[kTaper] = kTaperMean * radius;
+  start[kTaper] = prior.taper.value * radius;
+  start[kTaperChange] = prior.taper_change.value * radius;
   start[kNoise] = std::log(std::clamp(scatter, 0.05 * radius, 0.9 * radius));
   return start;
 }
@@ -426,8 +448,7 @@ double meanNorm(const Eigen::Vector2d& mean, const Eigen::Matrix2d& covariance) 
 }
 
 /// Diameters and their standard deviations from the posterior's normal approximation.
-void setDiameters(const Parameters& p, const Information& covariance, double prior_variance,
-                  StemCrossSection& result) {
+void setDiameters(const Parameters& p, const Information& covariance, StemCrossSection& result) {
   const double radius = p[kRadius];
   const double radius_variance = covariance(kRadius, kRadius);
   const Eigen::Vector2d ellipse = p.segment<2>(kEllipse);
@@ -448,7 +469,16 @@ void setDiameters(const Parameters& p, const Information& covariance, double pri
   result.equivalent = {2.0 * std::sqrt(std::max(radius * radius - mean_square, 0.0)),
                        2.0 * std::sqrt(radius_variance)};
   result.major_angle = 0.5 * std::atan2(ellipse.y(), ellipse.x());
-  result.prior_share = std::clamp(0.5 * ellipse_covariance.trace() / prior_variance, 0.0, 1.0);
+}
+
+/// Share of the priors in what is known of 2a, and of its ellipticity: their precision over that of
+/// the result.
+void setPriorShares(double radius_variance, double ellipse_variance, const Information& covariance,
+                    StemCrossSection& result) {
+  const double ellipse_known = 0.5 * covariance.diagonal().segment<2>(kEllipse).sum();
+  const double known = result.major.stddev * result.major.stddev;
+  result.ellipticity_prior_share = std::clamp(ellipse_known / ellipse_variance, 0.0, 1.0);
+  result.prior_share = std::clamp(0.25 * known / (radius_variance + ellipse_variance), 0.0, 1.0);
 }
 
 /// Widens the covariance of some parameters to at least that of `other`.
@@ -557,15 +587,14 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
   if (!p.allFinite() || information.info() != Eigen::Success) return result;
   Information covariance = information.solve(Information::Identity());
   const Information patches = solver.patchCovariance(covariance);
-  if (!(prior.noise > 0.0)) {
-    // With the noise estimated from few points the errors follow Student's distribution.
-    const double freedom = std::max(solver.freedom(), 3.0);
-    covariance *= freedom / (freedom - 2.0);
-  }
+  // With the noise estimated from few points the errors follow Student's distribution.
+  const double freedom = std::max(solver.freedom(), 3.0);
+  covariance *= freedom / (freedom - 2.0);
   widen(patches, kRadius, 1, covariance);
   widen(patches, kEllipse, 2, covariance);
-  const double prior_stddev = std::max(prior.ellipticity_stddev, 1e-4) * p[kRadius];
-  limitEllipticity(shapeless, prior_stddev * prior_stddev, covariance);
+  const double ellipse_variance =
+      std::pow(std::max(prior.ellipticity_stddev, 1e-4) * p[kRadius], 2);
+  limitEllipticity(shapeless, ellipse_variance, covariance);
 
   // 3. The ends of a half-seen arc, blurred by the noise, look like more of a smaller stem; found
   // by simulation over noise 1-3 mm, 60-1000 points, arcs 120-360 degrees.
@@ -576,16 +605,24 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
   covariance(kRadius, kRadius) += std::pow(kArcEndStddev * unseen * noise, 2);
 
   // 4. Traits.
-  result.prior_share = std::min(solver.priorWeight()[kRadius] * covariance(kRadius, kRadius), 1.0);
   result.valid = true;
   result.center = p.segment<2>(kCenter);
   result.tilt = p.segment<2>(kTilt);
   result.curvature = p.segment<2>(kCurvature);
-  result.taper = p[kTaper] / p[kRadius];
+  const auto relative = [&](Index i) -> Trait {
+    return {p[i] / p[kRadius], std::sqrt(covariance(i, i)) / p[kRadius]};
+  };
+  result.taper = relative(kTaper);
+  result.taper_change = relative(kTaperChange);
   result.noise = noise;
+  result.log_noise = {p[kNoise], std::sqrt(covariance(kNoise, kNoise))};
+  result.ellipticity = p.segment<2>(kEllipse) / p[kRadius];
+  result.ellipticity_stddev =
+      std::sqrt(0.5 * covariance.diagonal().segment<2>(kEllipse).sum()) / p[kRadius];
   result.outlier_share = solver.outlierShare();
   result.points = solver.surfacePoints();
-  setDiameters(p, covariance, prior_stddev * prior_stddev, result);
+  setDiameters(p, covariance, result);
+  setPriorShares(1.0 / solver.priorWeight()[kRadius], ellipse_variance, covariance, result);
   return result;
 }
 

@@ -7,7 +7,6 @@
 
 #include "field_phenotyping/measurement/ellipse_fit.hpp"
 #include "field_phenotyping/measurement/stem_coverage.hpp"
-#include "field_phenotyping/measurement/stem_cross_section.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -17,16 +16,28 @@ constexpr double kMaxOutlierShare = 0.5;
 constexpr double kPriorDrivenShare = 0.5;
 constexpr double kShapeStddev = 0.01;  // nodes and grooves: no stem is an exact ellipse
 constexpr double kMaxTilt = 0.02;      // [rad] beyond which the section is cut anew
+constexpr double kNear = 0.2;          // [m] from the height asked for, that the stem is to be seen
 constexpr int kShiftSteps = 6;         // heights tried each way
+// Points are taken from above this share of the height asked for, and below this share of the stem.
+constexpr double kFootShare = 0.3;
+constexpr double kTopShare = 0.8;
+constexpr double kLeastSpanShare = 0.1;  // of the stem, that points are taken from in any case
 
-/// Coordinates across and along a straight piece of stem.
+/// Coordinates across and along a piece of stem, from a smooth curve along its axis.
 struct StemFrame {
   Eigen::Vector3d origin;  // on the axis at the measuring height
   Eigen::Matrix3d axes;    // columns: across (near x), across (near y), along
+  Eigen::Matrix<double, 4, 2> curve = Eigen::Matrix<double, 4, 2>::Zero();  // powers of `along`
 
-  Eigen::Vector3d local(const Eigen::Vector3f& point) const {
-    return axes.transpose() * (point.cast<double>() - origin);
+  Eigen::Vector3d straight(const Eigen::Vector3d& point) const {
+    return axes.transpose() * (point - origin);
   }
+  Eigen::Vector3d local(const Eigen::Vector3d& point) const {
+    Eigen::Vector3d result = straight(point);
+    result.head<2>() -= curve.transpose() * powers(result.z());
+    return result;
+  }
+  static Eigen::Vector4d powers(double h) { return {1.0, h, h * h, h * h * h}; }
 };
 
 Eigen::Matrix3d axesAlong(const Eigen::Vector3d& direction) {
@@ -37,78 +48,105 @@ Eigen::Matrix3d axesAlong(const Eigen::Vector3d& direction) {
   return axes;
 }
 
-/// Frame along the chord of the axis around height `z`, its origin carried on to `origin_z`.
-StemFrame frameAround(const StemAxis& axis, double z, double span, double origin_z) {
-  const Eigen::Vector3d low = axis.pointAtHeight(static_cast<float>(z - 0.5 * span)).cast<double>();
-  const Eigen::Vector3d high =
-      axis.pointAtHeight(static_cast<float>(z + 0.5 * span)).cast<double>();
+/// Heights between which stem points are taken, local z.
+struct Window {
+  double low = 0.0;
+  double high = 0.0;
+};
+
+/// Frame along the axis in the window: its origin at `origin_z`, its curve the cubic that follows
+/// the axis best; the axis itself has kinks.
+StemFrame frameAlong(const StemAxis& axis, const Window& window, double origin_z) {
+  constexpr int kSamples = 24;
+  const auto at = [&](double z) -> Eigen::Vector3d {
+    return axis.pointAtHeight(static_cast<float>(z)).cast<double>();
+  };
   StemFrame frame;
-  frame.axes = axesAlong(high - low);
-  frame.origin = low + (origin_z - low.z()) / (high.z() - low.z()) * (high - low);
+  frame.axes = axesAlong(at(window.high) - at(window.low));
+  frame.origin = at(origin_z);
+  Eigen::Matrix4d normal = 1e-9 * Eigen::Matrix4d::Identity();
+  Eigen::Matrix<double, 4, 2> right = Eigen::Matrix<double, 4, 2>::Zero();
+  for (int i = 0; i <= kSamples; ++i) {
+    const double z = window.low + (window.high - window.low) * i / kSamples;
+    const Eigen::Vector3d local = frame.straight(at(z));
+    const Eigen::Vector4d row = StemFrame::powers(local.z());
+    normal += row * row.transpose();
+    right += row * local.head<2>().transpose();
+  }
+  frame.curve = normal.ldlt().solve(right);
   return frame;
 }
 
-/// Stem points, local, within half of `span` of height `z`.
-std::vector<Eigen::Vector3d> pointsAround(const SegmentedBlock& block, const Plant& plant,
-                                          const StemFrame& frame, double z, double span) {
-  const double middle = (z - frame.origin.z()) / frame.axes(2, 2);
+/// Stem points in the window, local to the frame.
+std::vector<Eigen::Vector3d> pointsIn(const SegmentedBlock& block, const Plant& plant,
+                                      const StemFrame& frame, const Window& window) {
   std::vector<Eigen::Vector3d> points;
   for (std::uint32_t i = plant.stem.begin; i < plant.stem.end; ++i) {
-    const Eigen::Vector3d local = frame.local(block.cloud.points[i]);
-    if (std::abs(local.z() - middle) <= 0.5 * span) points.push_back(local);
+    const Eigen::Vector3d point = block.cloud.points[i].cast<double>();
+    if (point.z() >= window.low && point.z() <= window.high) points.push_back(frame.local(point));
   }
   return points;
 }
 
-std::size_t countAround(const SegmentedBlock& block, const Plant& plant, double z, double span) {
+std::size_t countIn(const SegmentedBlock& block, const Plant& plant, const Window& window) {
   std::size_t count = 0;
   for (std::uint32_t i = plant.stem.begin; i < plant.stem.end; ++i) {
-    if (std::abs(block.cloud.points[i].z() - z) <= 0.5 * span) ++count;
+    const double z = static_cast<double>(block.cloud.points[i].z());
+    if (z >= window.low && z <= window.high) ++count;
   }
   return count;
 }
 
-/// Local z of the height to take points from: `wished` if the stem is seen there, else the best
-/// populated one in reach.
-double populatedHeight(const SegmentedBlock& block, const Plant& plant, double wished,
+/// The span round `z`, but clear of the flared foot of the stem and of its end among the leaves.
+Window windowRound(const Plant& plant, double z, double span) {
+  const double base = static_cast<double>(plant.base.z());
+  const double length = static_cast<double>(plant.axis.length());
+  const double half = 0.5 * span;
+  const double least = 0.5 * std::min(half, kLeastSpanShare * length);
+  const double low = std::max(z - half, base + kFootShare * (z - base));
+  const double high = std::min(z + half, base + kTopShare * length);
+  return {std::min(low, z - least), std::max(high, z + least)};
+}
+
+/// Window of the height to take points from: `wished` if the stem is seen round there, else the
+/// best populated one in reach.
+Window populatedWindow(const SegmentedBlock& block, const Plant& plant, double wished,
                        const MeasurementParameters& p) {
-  double best_z = wished;
-  std::size_t best = countAround(block, plant, wished, p.diameter_span);
-  if (best >= static_cast<std::size_t>(p.min_points)) return wished;
+  Window best_window = windowRound(plant, wished, p.diameter_span);
+  std::size_t best = countIn(block, plant, best_window);
+  if (best >= static_cast<std::size_t>(p.min_points)) return best_window;
   for (int step = 1; step <= kShiftSteps; ++step) {
     for (const double side : {-1.0, 1.0}) {
       const double z = wished + side * p.max_shift * step / kShiftSteps;
-      const std::size_t count = countAround(block, plant, z, p.diameter_span);
+      const Window window = windowRound(plant, z, p.diameter_span);
+      const std::size_t count = countIn(block, plant, window);
       if (count > best) {
         best = count;
-        best_z = z;
+        best_window = window;
       }
     }
   }
-  return best_z;
+  return best_window;
 }
 
 double withShape(const Trait& diameter) {
   return std::hypot(diameter.stddev, kShapeStddev * diameter.value);
 }
 
-void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z, double z,
-               const MeasurementParameters& p, StemDiameter& result) {
-  StemFrame frame = frameAround(plant.axis, z, p.diameter_span, wished_z);
-  std::vector<Eigen::Vector3d> points = pointsAround(block, plant, frame, z, p.diameter_span);
-  CrossSectionPrior prior;
-  prior.noise = p.noise;
-  prior.ellipticity_stddev = p.ellipticity_prior;
+void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z,
+               const Window& window, const CrossSectionPrior& prior, int min_points,
+               StemDiameter& result) {
+  StemFrame frame = frameAlong(plant.axis, window, wished_z);
+  std::vector<Eigen::Vector3d> points = pointsIn(block, plant, frame, window);
   StemCrossSection section = fitStemCrossSection(points, prior);
   if (section.valid && section.tilt.norm() > kMaxTilt) {
     frame.origin += frame.axes.leftCols<2>() * section.center;
     frame.axes = axesAlong(frame.axes * Eigen::Vector3d(section.tilt.x(), section.tilt.y(), 1.0));
-    points = pointsAround(block, plant, frame, z, p.diameter_span);
+    points = pointsIn(block, plant, frame, window);
     section = fitStemCrossSection(points, prior);
   }
   if (!section.valid) {
-    result.flags |=
-        points.size() < static_cast<std::size_t>(p.min_points) ? kTooFewPoints : kPoorFit;
+    result.flags |= points.size() < static_cast<std::size_t>(min_points) ? kTooFewPoints : kPoorFit;
     return;
   }
   result.major = {section.major.value, withShape(section.major)};
@@ -118,6 +156,8 @@ void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z,
                                 frame.axes.col(1) * std::sin(section.major_angle);
   result.major_azimuth = std::atan2(major.y(), major.x());
   result.noise = section.noise;
+  result.prior_share = section.prior_share;
+  result.section = section;
   result.arc_coverage = section.arc_coverage;
   result.points = static_cast<std::uint32_t>(std::lround(section.points));
   if (!section.converged || section.outlier_share > kMaxOutlierShare) result.flags |= kPoorFit;
@@ -156,8 +196,16 @@ void fitAsPrinted(const SegmentedBlock& block, const Plant& plant, double z,
 
 }  // namespace
 
+CrossSectionPrior weakPrior(const MeasurementParameters& parameters) {
+  CrossSectionPrior prior;
+  prior.noise = parameters.noise;
+  prior.ellipticity_stddev = parameters.ellipticity_prior;
+  return prior;
+}
+
 StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant,
-                                 const MeasurementParameters& parameters) {
+                                 const MeasurementParameters& parameters,
+                                 const CrossSectionPrior& prior) {
   StemDiameter result;
   if (plant.axis.empty()) {
     result.flags |= kTooFewPoints;
@@ -170,19 +218,21 @@ StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant
 
   // 2. Points to measure with.
   const double wished_z = plant.base.z() + result.height;
-  const double z = populatedHeight(block, plant, wished_z, parameters);
-  if (z != wished_z) result.flags |= kHeightShifted;
-  if (countAround(block, plant, z, parameters.diameter_span) <
-      static_cast<std::size_t>(parameters.min_points)) {
+  const auto least = static_cast<std::size_t>(parameters.min_points);
+  if (countIn(block, plant, {wished_z - kNear, wished_z + kNear}) < least) {
+    result.flags |= kHeightShifted;
+  }
+  const Window window = populatedWindow(block, plant, wished_z, parameters);
+  if (countIn(block, plant, window) < least) {
     result.flags |= kTooFewPoints;
     return result;
   }
 
   // 3. Ellipse across the stem.
   if (parameters.mode == "paper") {
-    fitAsPrinted(block, plant, z, parameters, result);
+    fitAsPrinted(block, plant, wished_z, parameters, result);
   } else {
-    fitRobust(block, plant, wished_z, z, parameters, result);
+    fitRobust(block, plant, wished_z, window, prior, parameters.min_points, result);
   }
   if (result.arc_coverage < parameters.min_arc) result.flags |= kArcBelow;
   if (result.major.stddev > kMaxRelativeStddev * result.major.value) result.flags |= kPoorFit;

@@ -261,7 +261,7 @@ TEST(Measurement, MissingSoilIsFlagged) {
 
 TEST(Measurement, TooFewPointsGiveNoDiameterButAReason) {
   PlantTruth truth;
-  truth.points_per_meter = 20;
+  truth.points_per_meter = 10;
   BlockBuilder builder;
   builder.soil(kFlat).plant(truth, 6U);
   const Phenotype p = measureOne(builder);

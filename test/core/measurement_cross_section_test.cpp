@@ -392,7 +392,7 @@ TEST(CrossSection, OrientationAndTaperAreFound) {
     const StemCrossSection fit = fitStemCrossSection(sample.points, CrossSectionPrior());
     ASSERT_TRUE(fit.valid);
     EXPECT_NEAR(std::sin(fit.major_angle - sample.angle), 0.0, 0.05);
-    EXPECT_NEAR(fit.taper, scene.taper, 0.12);
+    EXPECT_NEAR(fit.taper.value, scene.taper, 0.12);
     EXPECT_NEAR(fit.noise, scene.noise, 0.1 * scene.noise);
     EXPECT_NEAR(fit.minor.value, sample.minor, 5e-4);
     EXPECT_LT(fit.prior_share, 0.01);

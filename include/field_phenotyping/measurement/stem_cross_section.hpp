@@ -9,15 +9,20 @@ namespace field_phenotyping {
 
 /// What is known of a stem before its points are looked at.
 struct CrossSectionPrior {
-  double noise = 0.0;                ///< of a point across the stem, one axis [m]; 0: estimated
+  double noise = 0.0;  ///< of a point across the stem, one axis [m]; 0: estimated
+  Trait log_noise;     ///< logarithm of that, where estimated; NaN: hardly anything is known
+  Trait radius;        ///< (a + b) / 2 at height 0 [m]; NaN: from the width of the points
   double ellipticity_stddev = 0.06;  ///< of each component of (a - b) / (a + b); 0: a circle
+  Trait taper{-0.15, 0.25};          ///< relative change of radius with height [1/m]
+  Trait taper_change{0.0, 0.2};      ///< relative change with the square of height [1/m^2]
 };
 
 /// Cross-section of a short piece of stem, as fitted by fitStemCrossSection(). Metres, radians; x
 /// and y lie across the reference axis, heights along it.
 ///
-/// The surface at height h is center + h tilt + h^2 curvature + (S + h taper radius I) u(t), where
-/// u(t) = (cos t, sin t) and S is symmetric with the eigenvalues a and b.
+/// The surface at height h is center + h tilt + h^2 curvature + h^3 twist + (S + (h taper + h^2
+/// taper_change) radius I) u(t), where u(t) = (cos t, sin t) and S is symmetric with the
+/// eigenvalues a and b.
 struct StemCrossSection {
   bool valid = false;
   bool converged = false;
@@ -25,16 +30,20 @@ struct StemCrossSection {
   Eigen::Vector2d tilt = Eigen::Vector2d::Zero();       ///< of the true axis from the reference
   Eigen::Vector2d curvature = Eigen::Vector2d::Zero();  ///< [1/m]
   Trait radius;                                         ///< (a + b) / 2 at height 0 [m]
-  double taper = 0.0;          ///< change of radius with height, relative to `radius` [1/m]
+  Trait taper;         ///< change of radius with height, relative to `radius` [1/m]
+  Trait taper_change;  ///< the same, with the square of height [1/m^2]
+  Eigen::Vector2d ellipticity = Eigen::Vector2d::Zero();  ///< (a - b) / (a + b) at twice its angle
+  double ellipticity_stddev = 0.0;                        ///< of each component
   Trait major;                 ///< 2a at height 0 [m]: posterior mean and standard deviation
   Trait minor;                 ///< 2b [m]
   Trait equivalent;            ///< 2 sqrt(a b) [m]
   double major_angle = 0.0;    ///< of the major axis from x, in (-pi/2, pi/2]
   double noise = 0.0;          ///< standard deviation of a point, one axis [m]
+  Trait log_noise;             ///< its logarithm
   double outlier_share = 0.0;  ///< of points that are not of the stem's surface
   double points = 0.0;         ///< expected number of points of the stem's surface
   double arc_coverage = 0.0;   ///< share of the circumference with points
-  double prior_share = 0.0;    ///< of the prior in what is known of the size, in [0, 1]
+  double prior_share = 0.0;    ///< of the priors in what is known of 2a, in [0, 1]
   double ellipticity_prior_share = 0.0;  ///< likewise of the ellipticity
 };
 

@@ -4,6 +4,7 @@
 #include <limits>
 
 #include "field_phenotyping/measurement/phenotype.hpp"
+#include "field_phenotyping/measurement/stem_cross_section.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/segmented_block.hpp"
 
@@ -20,16 +21,25 @@ struct StemDiameter {
   double noise =
       std::numeric_limits<double>::quiet_NaN();  ///< of a point across the stem, one axis
   double arc_coverage = std::numeric_limits<double>::quiet_NaN();
+  double prior_share = std::numeric_limits<double>::quiet_NaN();  ///< in what is known of `major`
   std::uint32_t points = 0U;  ///< on the stem's surface, that decided the fit
+  StemCrossSection section;   ///< the fit itself; not valid in mode "paper"
   std::uint32_t flags = kOk;
 };
 
+/// What is known of any stem: what the parameters say.
+CrossSectionPrior weakPrior(const MeasurementParameters& parameters);
+
 /// Measures the stem at `diameter_height` above the soil, on short stems at `diameter_height_share`
-/// of the stem's length (paper 2.8). Where too few points are there, those of the best populated
-/// height within `max_shift` are fitted and the result is carried to the height asked for with the
-/// stem's taper (kHeightShifted). In mode "paper" Eq 27 is solved as printed, on the points within
-/// half of `diameter_span` of the height, their z dropped. Thread-safe; deterministic.
+/// of the stem's length (paper 2.8), from the points of `diameter_span` round it: the flared foot
+/// of the stem and its upper end are left out. Where too few points are there, those of the best
+/// populated height within `max_shift` are fitted and the result is carried to the height asked for
+/// with the stem's taper (kHeightShifted). In mode "paper" Eq 27 is solved as printed, on the
+/// points within half of `diameter_span` of the height, their z dropped. Thread-safe;
+/// deterministic.
+/// @param prior of the fit: weakPrior(), or what the block's stems say of each other
 StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant,
-                                 const MeasurementParameters& parameters);
+                                 const MeasurementParameters& parameters,
+                                 const CrossSectionPrior& prior);
 
 }  // namespace field_phenotyping
