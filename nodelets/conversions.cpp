@@ -34,7 +34,8 @@ static_assert(std::uint32_t{PlantPhenotype::OK} == kOk &&
                   std::uint32_t{PlantPhenotype::SHORT_STEM} == kShortStem &&
                   std::uint32_t{PlantPhenotype::TRUNCATED} == kTruncated &&
                   std::uint32_t{PlantPhenotype::LOW_CONFIDENCE} == kLowConfidence &&
-                  std::uint32_t{PlantPhenotype::PRIOR_DRIVEN} == kPriorDriven,
+                  std::uint32_t{PlantPhenotype::PRIOR_DRIVEN} == kPriorDriven &&
+                  std::uint32_t{PlantPhenotype::MERGED_SUSPECT} == kMergedSuspect,
               "the constants of PlantPhenotype.msg must equal QualityFlag");
 
 bool hostIsBigEndian() {
@@ -258,11 +259,16 @@ PlantPhenotype toMessage(const Phenotype& plant) {
   message.stem_diameter_equivalent = plant.stem_diameter_equivalent.value;
   message.stem_diameter_equivalent_stddev = plant.stem_diameter_equivalent.stddev;
   message.diameter_height = plant.diameter_height;
+  message.diameter_prior_share = plant.diameter_prior_share;
+  message.stem_volume = plant.stem_volume.value;
+  message.stem_volume_stddev = plant.stem_volume.stddev;
   message.lean = plant.lean.value;
   message.lean_stddev = plant.lean.stddev;
   message.lean_azimuth = plant.lean_azimuth;
   message.spacing = plant.spacing.value;
   message.spacing_stddev = plant.spacing.stddev;
+  message.row_spacing = plant.row_spacing.value;
+  message.row_spacing_stddev = plant.row_spacing.stddev;
   message.arc_coverage = plant.arc_coverage;
   message.completeness = plant.completeness;
   message.stem_points = plant.stem_points;
@@ -276,6 +282,7 @@ PlantPhenotype toMessage(const Phenotype& plant) {
   message.growth_alpha = plant.growth_alpha;
   message.growth_beta = plant.growth_beta;
   message.flags = plant.flags;
+  message.score = plant.score;
   return message;
 }
 
@@ -293,9 +300,12 @@ Phenotype fromMessage(const PlantPhenotype& message) {
   plant.stem_diameter_equivalent = {message.stem_diameter_equivalent,
                                     message.stem_diameter_equivalent_stddev};
   plant.diameter_height = message.diameter_height;
+  plant.diameter_prior_share = message.diameter_prior_share;
+  plant.stem_volume = {message.stem_volume, message.stem_volume_stddev};
   plant.lean = {message.lean, message.lean_stddev};
   plant.lean_azimuth = message.lean_azimuth;
   plant.spacing = {message.spacing, message.spacing_stddev};
+  plant.row_spacing = {message.row_spacing, message.row_spacing_stddev};
   plant.arc_coverage = message.arc_coverage;
   plant.completeness = message.completeness;
   plant.stem_points = message.stem_points;
@@ -309,6 +319,7 @@ Phenotype fromMessage(const PlantPhenotype& message) {
   plant.growth_alpha = message.growth_alpha;
   plant.growth_beta = message.growth_beta;
   plant.flags = message.flags;
+  plant.score = message.score;
   return plant;
 }
 

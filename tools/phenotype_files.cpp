@@ -40,10 +40,16 @@ void visitColumns(const Phenotype& p, Visitor&& visit) {
   visit("lean_azimuth", p.lean_azimuth);
   visit("spacing", p.spacing.value);
   visit("spacing_stddev", p.spacing.stddev);
+  visit("row_spacing", p.row_spacing.value);
+  visit("row_spacing_stddev", p.row_spacing.stddev);
+  visit("stem_volume", p.stem_volume.value);
+  visit("stem_volume_stddev", p.stem_volume.stddev);
+  visit("diameter_prior_share", p.diameter_prior_share);
   visit("completeness", p.completeness);
   visit("diameter_points", p.diameter_points);
   visit("synthetic_points", p.synthetic_points);
   visit("segmentation_quality", static_cast<double>(p.segmentation_quality));
+  visit("score", p.score);
   visit("revision", p.revision);
   visit("final", p.final);
   visit("passes", p.passes);
@@ -108,8 +114,9 @@ void visitColumns(const PlacedRegion& r, Visitor&& visit) {
 
 std::string cell(double value) {
   if (!std::isfinite(value)) return "nan";
+  constexpr double kSmall = 1e-2;  // as volumes of stems are [m^3]
   char text[64];
-  std::snprintf(text, sizeof(text), "%.6f", value);
+  std::snprintf(text, sizeof(text), std::abs(value) < kSmall ? "%.9f" : "%.6f", value);
   return text;
 }
 std::string cell(const std::string& value) {

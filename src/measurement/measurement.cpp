@@ -1,7 +1,10 @@
 #include "field_phenotyping/measurement/measurement.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <utility>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/measurement/lean.hpp"
 #include "field_phenotyping/measurement/plant_height.hpp"
@@ -28,20 +31,54 @@ bool reachesBorder(const SegmentedBlock& block, const Plant& plant) {
 }
 
 /// What the block's stems, those of its margin too, say of each other.
-CrossSectionPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& parameters) {
+struct BlockPrior {
+  CrossSectionPrior prior;
+  std::vector<StemCrossSection> alone;  ///< of each plant, by its own points; or none
+  double median_outlier_share = 0.0;    ///< of those
+};
+
+BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& parameters) {
   const CrossSectionPrior weak = weakPrior(parameters);
-  if (parameters.mode == "paper" || !parameters.block_shape_prior) return weak;
+  if (parameters.mode == "paper" || !parameters.block_shape_prior) return {weak, {}, 0.0};
   std::vector<StemCrossSection> fits(block.plants.size());
   parallelFor(fits.size(), [&](std::size_t i) {
     fits[i] = measureStemDiameter(block, block.plants[i], parameters, weak).section;
   });
-  return populationPrior(
-      fits, weak,
-      parameters.block_diameter_prior ? PopulationPrior::kShapeAndSize : PopulationPrior::kShape);
+  const PopulationPrior kind =
+      parameters.block_diameter_prior ? PopulationPrior::kShapeAndSize : PopulationPrior::kShape;
+  const CrossSectionPrior prior = populationPrior(fits, weak, kind);
+  std::vector<double> outliers;
+  for (const StemCrossSection& fit : fits) {
+    if (fit.valid) outliers.push_back(fit.outlier_share);
+  }
+  const double median_outliers = outliers.empty() ? 0.0 : medianOf(outliers);
+  return {prior, std::move(fits), median_outliers};
 }
 
-Phenotype measurePlant(const CompletedBlock& completed, std::size_t index, const Trait& spacing,
-                       const CrossSectionPrior& prior, const MeasurementParameters& parameters) {
+/// Whether a stem is flatter than any other, its points scatter more than those of the block's
+/// other stems, beyond chance, or far more of them lie off its surface.
+bool looksMerged(const BlockPrior& block, std::size_t index) {
+  constexpr double kStddevs = 4.0;
+  constexpr double kLeastExcess = 0.5;      // of the noise, in its logarithm
+  constexpr double kMostEllipticity = 0.2;  // (a - b) / (a + b): one axis is half as long again
+  constexpr double kManyOutliers = 0.3;
+  constexpr double kMoreOutliers = 3.0;  // times the median stem's
+  if (block.alone.empty() || !block.alone[index].valid) return false;
+  if (std::isnan(block.prior.log_noise.value)) return false;  // nothing is known of the others
+  const StemCrossSection& own = block.alone[index];
+  const auto beyond = [](double value, double least, double own_stddev, double others_stddev) {
+    return value > least && value > kStddevs * std::hypot(own_stddev, others_stddev);
+  };
+  return beyond(own.log_noise.value - block.prior.log_noise.value, kLeastExcess,
+                own.log_noise.stddev, block.prior.log_noise.stddev) ||
+         beyond(own.ellipticity.norm(), kMostEllipticity, own.ellipticity_stddev,
+                block.prior.ellipticity_stddev) ||
+         own.outlier_share > std::max(kManyOutliers, kMoreOutliers * block.median_outlier_share);
+}
+
+Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
+                       const PlantSpacing& spacing, const BlockPrior& prior,
+                       const MeasurementParameters& parameters) {
   const SegmentedBlock& block = *completed.segmented;
   const Plant& plant = block.plants[index];
   Phenotype phenotype;
@@ -53,11 +90,13 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index, const
   const PlantHeight height = measurePlantHeight(block, plant, parameters);
   phenotype.height = height.height;
 
-  const StemDiameter diameter = measureStemDiameter(block, plant, parameters, prior);
+  const StemDiameter diameter = measureStemDiameter(block, plant, parameters, prior.prior);
   phenotype.stem_diameter = diameter.major;
   phenotype.stem_diameter_minor = diameter.minor;
   phenotype.stem_diameter_equivalent = diameter.equivalent;
   phenotype.diameter_height = diameter.height;
+  phenotype.diameter_prior_share = diameter.prior_share;
+  phenotype.stem_volume = diameter.volume;
   phenotype.arc_coverage = diameter.arc_coverage;
   phenotype.diameter_points = diameter.points;
 
@@ -65,7 +104,8 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index, const
   phenotype.axis = lean.axis;
   phenotype.lean = lean.angle;
   phenotype.lean_azimuth = lean.azimuth;
-  phenotype.spacing = spacing;
+  phenotype.spacing = spacing.in_row;
+  phenotype.row_spacing = spacing.to_row;
 
   phenotype.completeness = stemCompleteness(block, plant);
   phenotype.stem_points = plant.stem.size();
@@ -82,6 +122,8 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index, const
   phenotype.flags = height.flags | diameter.flags;
   if (reachesBorder(block, plant)) phenotype.flags |= kTruncated;
   if (plant.growth.quality < parameters.min_quality) phenotype.flags |= kLowConfidence;
+  if (looksMerged(prior, index)) phenotype.flags |= kMergedSuspect;
+  phenotype.score = qualityScore(phenotype);
   return phenotype;
 }
 
@@ -94,8 +136,8 @@ std::vector<Phenotype> measureBlock(const CompletedBlock& block,
   for (std::size_t i = 0; i < plants.size(); ++i) {
     if (plants[i].owned) owned.push_back(i);
   }
-  const std::vector<Trait> spacings = measureRowSpacing(*block.segmented);
-  const CrossSectionPrior prior = blockPrior(*block.segmented, parameters);
+  const std::vector<PlantSpacing> spacings = measureRowSpacing(*block.segmented);
+  const BlockPrior prior = blockPrior(*block.segmented, parameters);
   std::vector<Phenotype> phenotypes(owned.size());
   parallelFor(owned.size(), [&](std::size_t i) {
     phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], prior, parameters);

@@ -1,5 +1,7 @@
 #include "field_phenotyping/measurement/phenotype.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <utility>
 
 namespace field_phenotyping {
@@ -16,6 +18,7 @@ std::string flagNames(std::uint32_t flags) {
       {kTruncated, "truncated"},
       {kLowConfidence, "low_confidence"},
       {kPriorDriven, "prior_driven"},
+      {kMergedSuspect, "merged_suspect"},
   };
   std::string names;
   for (const auto& [flag, name] : kNames) {
@@ -24,6 +27,28 @@ std::string flagNames(std::uint32_t flags) {
     names += name;
   }
   return names.empty() ? "ok" : names;
+}
+
+double qualityScore(const Phenotype& phenotype) {
+  constexpr double kGoodQuality = 0.7, kGoodArc = 0.75;
+  constexpr double kUnmeasured = 0.25, kBad = 0.5, kDoubtful = 0.8;
+  const auto known = [](const Trait& trait, double half) {
+    const double relative = trait.stddev / trait.value / half;
+    return std::isfinite(relative) ? 1.0 / (1.0 + relative * relative) : kUnmeasured;
+  };
+  double score = std::min(static_cast<double>(phenotype.segmentation_quality) / kGoodQuality, 1.0);
+  score *= known(phenotype.stem_diameter, 0.10) * known(phenotype.height, 0.05);
+  if (std::isfinite(phenotype.arc_coverage)) {
+    score *= std::min(phenotype.arc_coverage / kGoodArc, 1.0);
+  }
+  for (const QualityFlag flag :
+       {kPoorFit, kPriorDriven, kMergedSuspect, kGroundMissing, kLowConfidence}) {
+    if ((phenotype.flags & flag) != 0U) score *= kBad;
+  }
+  for (const QualityFlag flag : {kArcBelow, kHeightShifted, kGroundExtrapolated, kTruncated}) {
+    if ((phenotype.flags & flag) != 0U) score *= kDoubtful;
+  }
+  return score;
 }
 
 }  // namespace field_phenotyping

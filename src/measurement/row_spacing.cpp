@@ -1,6 +1,8 @@
 #include "field_phenotyping/measurement/row_spacing.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace field_phenotyping {
 namespace {
@@ -46,21 +48,50 @@ double meanRadius(const Plant& plant) {
   return plant.axis.empty() ? 0.0 : static_cast<double>(plant.axis.nodes().front().radius);
 }
 
+/// Distance across the rows to the nearest plants beside plant `i`.
+Trait toNextRow(const std::vector<Plant>& plants, std::size_t i, const Eigen::Vector2d& direction) {
+  constexpr double kSameRow = 1.25;  // times the distance to the nearest of them
+  const Eigen::Vector2d across(-direction.y(), direction.x());
+  std::vector<double> distances;
+  double nearest = std::numeric_limits<double>::infinity();
+  for (const Plant& other : plants) {
+    const Eigen::Vector2d offset = baseOf(other) - baseOf(plants[i]);
+    const double distance = std::abs(offset.dot(across));
+    if (!(distance > std::abs(offset.dot(direction)))) continue;
+    distances.push_back(distance);
+    nearest = std::min(nearest, distance);
+  }
+  double sum = 0.0, squares = 0.0, count = 0.0;
+  for (const double distance : distances) {
+    if (distance > kSameRow * nearest) continue;
+    sum += distance;
+    squares += distance * distance;
+    count += 1.0;
+  }
+  if (!(count > 0.0)) return {};
+  const double mean = sum / count;
+  const double scatter = count > 1.0 ? std::max(squares - count * mean * mean, 0.0) / (count - 1.0)
+                                     : std::pow((kSameRow - 1.0) * mean, 2);
+  return {mean, std::hypot(std::sqrt(scatter / count), 0.5 * meanRadius(plants[i]))};
+}
+
 }  // namespace
 
-std::vector<Trait> measureRowSpacing(const SegmentedBlock& block) {
-  std::vector<Trait> spacings(block.plants.size());
+std::vector<PlantSpacing> measureRowSpacing(const SegmentedBlock& block) {
+  std::vector<PlantSpacing> spacings(block.plants.size());
   const Eigen::Vector2d direction = rowDirection(block.plants);
   if (direction.isZero()) return spacings;
   for (std::size_t i = 0; i < block.plants.size(); ++i) {
+    Trait& spacing = spacings[i].in_row;
     for (const Plant& other : block.plants) {
       const Eigen::Vector2d offset = baseOf(other) - baseOf(block.plants[i]);
       const double distance = offset.norm();
       if (!(distance > 0.0) || offset.dot(direction) < std::cos(kMaxDeviation) * distance) continue;
-      if (distance >= spacings[i].value) continue;  // false while it is NaN
+      if (distance >= spacing.value) continue;  // false while it is NaN
       // Each base counts as known to half the stem's radius.
-      spacings[i] = {distance, 0.5 * std::hypot(meanRadius(block.plants[i]), meanRadius(other))};
+      spacing = {distance, 0.5 * std::hypot(meanRadius(block.plants[i]), meanRadius(other))};
     }
+    spacings[i].to_row = toNextRow(block.plants, i, direction);
   }
   return spacings;
 }

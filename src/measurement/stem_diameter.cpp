@@ -133,6 +133,33 @@ double withShape(const Trait& diameter) {
   return std::hypot(diameter.stddev, kShapeStddev * diameter.value);
 }
 
+/// Volume from the soil to `height` above it, where the section was fitted: pi a b along the axis.
+/// @param slope length of stem a metre of height
+Trait volumeBelow(const StemCrossSection& section, double height, double slope) {
+  constexpr int kSteps = 40;
+  constexpr double kFootStddev = 0.03;  // share: the flared foot is not fitted
+  const double radius = section.radius.value;
+  const double roundness =
+      std::max(1.0 - section.ellipticity.squaredNorm() -
+                   2.0 * section.ellipticity_stddev * section.ellipticity_stddev,
+               0.0);
+  double integral = 0.0, by_taper = 0.0, by_change = 0.0;
+  const double step = height * slope / kSteps;
+  for (int i = 0; i < kSteps; ++i) {
+    const double h = (i + 0.5) * step - height * slope;
+    const double relative = 1.0 + h * (section.taper.value + h * section.taper_change.value);
+    integral += relative * relative * step;
+    by_taper += 2.0 * relative * h * step;
+    by_change += 2.0 * relative * h * h * step;
+  }
+  const double scale = M_PI * roundness * radius * radius;
+  const double volume = scale * integral;
+  const double by_radius = 2.0 * volume / radius * section.radius.stddev;
+  const double by_shape =
+      scale * std::hypot(by_taper * section.taper.stddev, by_change * section.taper_change.stddev);
+  return {volume, std::hypot(std::hypot(by_radius, by_shape), kFootStddev * volume)};
+}
+
 void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z,
                const Window& window, const CrossSectionPrior& prior, int min_points,
                StemDiameter& result) {
@@ -158,6 +185,7 @@ void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z,
   result.noise = section.noise;
   result.prior_share = section.prior_share;
   result.section = section;
+  result.volume = volumeBelow(section, result.height, 1.0 / frame.axes(2, 2));
   result.arc_coverage = section.arc_coverage;
   result.points = static_cast<std::uint32_t>(std::lround(section.points));
   if (!section.converged || section.outlier_share > kMaxOutlierShare) result.flags |= kPoorFit;

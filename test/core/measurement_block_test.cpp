@@ -387,7 +387,14 @@ TEST(RowSpacing, NextPlantAlongTheRowWhateverItsDirection) {
         builder.plant(truth, 1U, row == 0);
       }
     }
-    const std::vector<Trait> spacing = measureRowSpacing(builder.block());
+    const std::vector<PlantSpacing> spacings = measureRowSpacing(builder.block());
+    std::vector<Trait> spacing;
+    for (const PlantSpacing& one : spacings) {
+      spacing.push_back(one.in_row);
+      EXPECT_NEAR(one.to_row.value, 0.75, 1e-5) << azimuth;
+      EXPECT_GT(one.to_row.stddev, 0.0);
+      EXPECT_LT(one.to_row.stddev, 0.02);
+    }
     // Rows at 150 degrees run towards positive x the other way round.
     const bool reversed = azimuth > 135.0;
     const double nan = std::numeric_limits<double>::quiet_NaN();
@@ -407,7 +414,116 @@ TEST(RowSpacing, NextPlantAlongTheRowWhateverItsDirection) {
 TEST(RowSpacing, NoneWithoutARow) {
   BlockBuilder builder;
   builder.soil(kFlat).plant(PlantTruth(), 1U);
-  EXPECT_TRUE(std::isnan(measureRowSpacing(builder.block())[0].value));
+  EXPECT_TRUE(std::isnan(measureRowSpacing(builder.block())[0].in_row.value));
+  EXPECT_TRUE(std::isnan(measureRowSpacing(builder.block())[0].to_row.value));
+}
+
+TEST(RowSpacing, OneRowHasNoNeighbour) {
+  BlockBuilder builder;
+  builder.soil(kFlat);
+  for (std::uint32_t i = 0; i < 6U; ++i) {
+    PlantTruth truth;
+    truth.points_per_meter = 10;
+    truth.base = {0.2 + 0.2 * i, 1.0};
+    builder.plant(truth, i);
+  }
+  for (const PlantSpacing& spacing : measureRowSpacing(builder.block())) {
+    EXPECT_TRUE(std::isnan(spacing.to_row.value));
+  }
+}
+
+/// Ten stems in a row; `odd` stands in for the first of them.
+std::vector<Phenotype> measureRow(const PlantTruth& odd, bool doubled,
+                                  const MeasurementParameters& parameters = {}) {
+  BlockBuilder builder;
+  builder.soil(kFlat);
+  for (std::uint32_t i = 0; i < 10U; ++i) {
+    PlantTruth truth = i == 0U ? odd : PlantTruth();
+    truth.points_per_meter = 300;
+    truth.base = {0.1 + 0.19 * i, 1.0};
+    builder.plant(truth, i);
+    if (i == 0U && doubled) {  // the points of a second stem, 2 cm beside it, are its stem's too
+      BlockBuilder second;
+      truth.base.y() += 0.02;
+      second.soil(kFlat).plant(truth, 99U);
+      std::vector<Eigen::Vector3d> points;
+      for (const Eigen::Vector3f& point : second.block().cloud.points) {
+        points.push_back(point.cast<double>());
+      }
+      builder.organ(points);
+      Plant& plant = builder.block().plants[0];
+      plant.stem.end = plant.points.end;
+    }
+  }
+  return measureBlock(builder.completed(), parameters);
+}
+
+TEST(Measurement, TwoStemsTakenForOneAreSuspected) {
+  const std::vector<Phenotype> plain = measureRow(PlantTruth(), false);
+  const std::vector<Phenotype> doubled = measureRow(PlantTruth(), true);
+  for (std::size_t i = 0; i < plain.size(); ++i) {
+    EXPECT_FALSE(plain[i].flags & kMergedSuspect) << i;
+    EXPECT_EQ((doubled[i].flags & kMergedSuspect) != 0U, i == 0U) << i;
+    EXPECT_GT(plain[i].score, 0.8) << i;
+    EXPECT_LE(plain[i].score, 1.0) << i;
+  }
+  EXPECT_LT(doubled[0].score, 0.5 * plain[0].score);
+}
+
+TEST(Measurement, BlockPriorsAreSwitchableAndTheirWeightIsReported) {
+  PlantTruth thick;
+  thick.diameter = 0.026;
+  MeasurementParameters parameters;
+  const Phenotype shape = measureRow(thick, false, parameters)[0];
+  parameters.block_diameter_prior = true;
+  const Phenotype size = measureRow(thick, false, parameters)[0];
+  parameters.block_shape_prior = false;
+  const Phenotype alone = measureRow(thick, false, parameters)[0];
+  EXPECT_LT(shape.diameter_prior_share, 0.1);
+  EXPECT_GT(size.diameter_prior_share, shape.diameter_prior_share);
+  EXPECT_LT(size.diameter_prior_share, 0.5);
+  EXPECT_LT(size.stem_diameter.value, shape.stem_diameter.value);  // towards the others
+  EXPECT_LT(shape.stem_diameter.stddev, alone.stem_diameter.stddev);
+  EXPECT_NEAR(shape.stem_diameter.value, thick.diameter, 0.0015);
+}
+
+TEST(Measurement, VolumeOfTheStemBelowTheMeasuringHeight) {
+  PlantTruth truth;
+  truth.lean = 10.0 * kDegree;
+  BlockBuilder builder;
+  builder.soil(kFlat).plant(truth, 14U);
+  const Phenotype p = measureOne(builder);
+  const double expected = 0.25 * M_PI * truth.axis_ratio * truth.diameter * truth.diameter *
+                          p.diameter_height / std::cos(truth.lean);
+  EXPECT_NEAR(p.stem_volume.value, expected, 2.0 * p.stem_volume.stddev);
+  EXPECT_GT(p.stem_volume.stddev, 0.03 * expected);
+  EXPECT_LT(p.stem_volume.stddev, 0.10 * expected);
+}
+
+TEST(Score, FallsWithEachReasonToDoubt) {
+  Phenotype p;
+  EXPECT_EQ(qualityScore(p), 0.0);
+  p.segmentation_quality = 0.9F;
+  p.stem_diameter = {0.02, 0.0005};
+  p.height = {2.0, 0.01};
+  p.arc_coverage = 1.0;
+  const double good = qualityScore(p);
+  EXPECT_GT(good, 0.9);
+  EXPECT_LE(good, 1.0);
+  p.flags = kShortStem;  // says nothing of the trust
+  EXPECT_EQ(qualityScore(p), good);
+  for (const QualityFlag flag : {kPoorFit, kPriorDriven, kMergedSuspect, kGroundMissing}) {
+    p.flags = flag;
+    EXPECT_DOUBLE_EQ(qualityScore(p), 0.5 * good);
+  }
+  p.flags = kArcBelow;
+  EXPECT_DOUBLE_EQ(qualityScore(p), 0.8 * good);
+  p.flags = kOk;
+  p.stem_diameter.stddev = 0.002;
+  EXPECT_NEAR(qualityScore(p), 0.5, 0.02);
+  p.stem_diameter = {};
+  EXPECT_LT(qualityScore(p), 0.3);
+  EXPECT_GT(qualityScore(p), 0.0);
 }
 
 TEST(Coverage, ArcHasGapsTakenOut) {
@@ -446,6 +562,7 @@ TEST(PaperMode, DiameterByEq27AsPrinted) {
 TEST(Flags, HaveNames) {
   EXPECT_EQ(flagNames(kOk), "ok");
   EXPECT_EQ(flagNames(kTooFewPoints | kPriorDriven), "too_few_points|prior_driven");
+  EXPECT_EQ(flagNames(kMergedSuspect), "merged_suspect");
 }
 
 }  // namespace

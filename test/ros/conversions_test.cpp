@@ -256,6 +256,10 @@ Phenotype somePlant() {
   plant.lean = {0.1, 0.01};
   plant.lean_azimuth = 1.5;
   plant.spacing = {0.21, 0.02};
+  plant.row_spacing = {0.75, 0.03};
+  plant.diameter_prior_share = 0.07;
+  plant.stem_volume = {2.4e-4, 1.1e-5};
+  plant.score = 0.87;
   plant.arc_coverage = 0.6;
   plant.completeness = 0.8;
   plant.stem_points = 11U;
@@ -308,6 +312,10 @@ TEST(Phenotypes, SurviveTheMessage) {
   same(p.stem_diameter_equivalent, expected.stem_diameter_equivalent);
   same(p.lean, expected.lean);
   same(p.spacing, expected.spacing);
+  same(p.row_spacing, expected.row_spacing);
+  same(p.stem_volume, expected.stem_volume);
+  EXPECT_EQ(p.diameter_prior_share, expected.diameter_prior_share);
+  EXPECT_EQ(p.score, expected.score);
   EXPECT_EQ(p.diameter_height, expected.diameter_height);
   EXPECT_EQ(p.lean_azimuth, expected.lean_azimuth);
   EXPECT_EQ(p.arc_coverage, expected.arc_coverage);

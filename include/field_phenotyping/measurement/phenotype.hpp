@@ -21,6 +21,7 @@ enum QualityFlag : std::uint32_t {
   kTruncated = 1U << 7U,           ///< the plant reaches the border of the data
   kLowConfidence = 1U << 8U,       ///< weak stem evidence: may not be a plant at all
   kPriorDriven = 1U << 9U,         ///< a prior, not the points, decides the value
+  kMergedSuspect = 1U << 10U,  ///< stem is as flat, or scatters as much, as two in one
 };
 
 /// Lower-case names of the flags that are set, joined by '|'; "ok" when none is.
@@ -45,9 +46,13 @@ struct Phenotype {
   Trait stem_diameter_minor;       ///< minor axis 2b [m]
   Trait stem_diameter_equivalent;  ///< 2 sqrt(a b) [m]
   double diameter_height = std::numeric_limits<double>::quiet_NaN();  ///< above the soil [m]
-  Trait lean;  ///< angle of the axis from vertical [rad]
+  double diameter_prior_share =
+      std::numeric_limits<double>::quiet_NaN();  ///< of priors in what is known of stem_diameter
+  Trait stem_volume;  ///< of the stem, from the soil to diameter_height [m^3]
+  Trait lean;         ///< angle of the axis from vertical [rad]
   double lean_azimuth = std::numeric_limits<double>::quiet_NaN();  ///< from x towards y [rad]
-  Trait spacing;  ///< to the next plant in its row [m]
+  Trait spacing;      ///< to the next plant in its row [m]
+  Trait row_spacing;  ///< to the nearest neighbouring row [m]
   double arc_coverage = std::numeric_limits<double>::quiet_NaN();  ///< seen, share of 2 pi
   double completeness = std::numeric_limits<double>::quiet_NaN();  ///< measured share of the stem
   std::uint32_t stem_points = 0U;
@@ -61,6 +66,16 @@ struct Phenotype {
   float growth_alpha = 0.0F;             ///< its weights of Eq 2
   float growth_beta = 0.0F;
   std::uint32_t flags = kOk;
+  double score = 0.0;  ///< qualityScore() of this
 };
+
+/// One number for how far a plant can be trusted, in [0, 1]: the product of
+/// - the evidence for a stem, Q of Eq 9 over 0.7, at most 1;
+/// - the diameter's, 1 / (1 + (s / 0.1)^2) with s its standard deviation relative to it, times the
+///   arc coverage over 0.75, at most 1; 0.25 where there is no diameter;
+/// - the height's, 1 / (1 + (s / 0.05)^2) likewise; 0.25 where there is none;
+/// - a half for each of poor_fit, prior_driven, merged_suspect, ground_missing, low_confidence, and
+///   0.8 for each of arc_below, height_shifted, ground_extrapolated, truncated.
+double qualityScore(const Phenotype& phenotype);
 
 }  // namespace field_phenotyping

@@ -15,6 +15,7 @@ struct StemDiameter {
   Trait major;       ///< 2a of Eq 27, across the stem's axis
   Trait minor;       ///< 2b
   Trait equivalent;  ///< 2 sqrt(a b)
+  Trait volume;      ///< of the stem from the soil to `height` [m^3]; not in mode "paper"
   double height =
       std::numeric_limits<double>::quiet_NaN();  ///< above the soil, that they stand for
   double major_azimuth = std::numeric_limits<double>::quiet_NaN();  ///< from x towards y [rad]
