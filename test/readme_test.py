@@ -75,10 +75,13 @@ class ReadmeTest(unittest.TestCase):
 
     def test_every_column_is_explained(self):
         text = read('README.md')
+        stand = text.split('### rows.csv and canopy.csv')[1].split('\n#')[0]
         growth = text.split('### What the segmenter decided')[1].split('\n#')[0]
         plants, regions = growth.split('`growth_regions.csv` one row a region')
         tables = {
             'plants.csv': text.split('### plants.csv')[1].split('\n#')[0],
+            'rows.csv': stand.split('`canopy.csv` has one row')[0],
+            'canopy.csv': stand.split('`canopy.csv` has one row')[1],
             'growth.csv': plants,
             'growth_regions.csv': regions,
         }

@@ -91,6 +91,8 @@ void run(const Options& options) {
   progress.update("writing", 0.0);
   writePhenotypeCsv(options.output + "/plants.csv", result.plants);
   writePhenotypeGeoJson(options.output + "/plants.geojson", result.plants);
+  writeRowsCsv(options.output + "/rows.csv", result.plants);
+  writeCanopyCsv(options.output + "/canopy.csv", canopyProfile(result.blocks));
   writeLabels(options.output + "/labels.pcd", input, result.labels);
   writeCompleted(options.output + "/completed.pcd", input, result);
   writeTiming(options.output + "/timing.json", result);
@@ -114,10 +116,13 @@ int main(int argc, char** argv) {
   CLI::App app(
       "Measures every plant in one point cloud: height and stem diameter, each with its standard "
       "deviation.\n"
-      "Writes plants.csv and plants.geojson (one row a plant; metres, radians), labels.pcd (plant "
-      "and organ of every\n"
-      "input point, in the input's order), completed.pcd (stems with their gaps filled) and "
-      "timing.json.");
+      "Writes plants.csv and plants.geojson (one row a plant; metres, radians), rows.csv, "
+      "canopy.csv "
+      "(height profile),\n"
+      "labels.pcd (plant and organ of every input point, in the input's order), completed.pcd "
+      "(stems "
+      "with their gaps\n"
+      "filled) and timing.json.");
   app.add_option("input", options.input, "Cloud to measure: .pcd or .ply, x y z in metres, z up")
       ->required();
   app.add_option("-o,--output", options.output, "Folder for the results; made when missing")

@@ -112,6 +112,34 @@ void visitColumns(const PlacedRegion& r, Visitor&& visit) {
   visit("points", r.summary.points);
 }
 
+/// The same of every column of rows.csv.
+template <class Visitor>
+void visitColumns(const RowSummary& r, Visitor&& visit) {
+  visit("row", r.row);
+  visit("plants", r.plants);
+  visit("plants_stddev", r.plants_stddev);
+  visit("gaps", r.gaps);
+  visit("missing_plants", r.missing);
+  visit("longest_gap", r.longest_gap);
+  visit("length", r.length);
+  visit("plant_spacing", r.spacing.value);
+  visit("plant_spacing_stddev", r.spacing.stddev);
+  visit("row_spacing", r.row_spacing.value);
+  visit("row_spacing_stddev", r.row_spacing.stddev);
+  visit("start_x", r.start.x());
+  visit("start_y", r.start.y());
+  visit("end_x", r.end.x());
+  visit("end_y", r.end.y());
+}
+
+/// The same of every column of canopy.csv.
+template <class Visitor>
+void visitColumns(const CanopyLayer& layer, Visitor&& visit) {
+  visit("height", layer.height);
+  visit("cover", layer.cover.value);
+  visit("cover_stddev", layer.cover.stddev);
+}
+
 std::string cell(double value) {
   if (!std::isfinite(value)) return "nan";
   constexpr double kSmall = 1e-2;  // as volumes of stems are [m^3]
@@ -197,6 +225,14 @@ std::vector<OwnedPlant> ownedPlants(
 
 void writePhenotypeCsv(const std::string& path, const std::vector<Phenotype>& plants) {
   writeCsv(path, plants);
+}
+
+void writeRowsCsv(const std::string& path, const std::vector<Phenotype>& plants) {
+  writeCsv(path, summariseRows(plants));
+}
+
+void writeCanopyCsv(const std::string& path, const std::vector<CanopyLayer>& layers) {
+  writeCsv(path, layers);
 }
 
 void writeGrowthCsv(const std::string& path,

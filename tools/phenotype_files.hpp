@@ -6,6 +6,7 @@
 
 #include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
+#include "field_phenotyping/measurement/stand_summary.hpp"
 
 // The files that people take the plants from. Shared by every program that writes them.
 
@@ -23,6 +24,15 @@ void writePhenotypeCsv(const std::string& path, const std::vector<Phenotype>& pl
 /// @throws std::runtime_error naming the file and the cause
 void writePhenotypeGeoJson(const std::string& path, const std::vector<Phenotype>& plants,
                            const std::string& frame_id = "map");
+
+/// Writes the rows that these plants stand in, as summariseRows() finds them: a header row, then one
+/// row a row; metres, map frame. As safe for readers as writePhenotypeCsv().
+/// @throws std::runtime_error naming the file and the cause
+void writeRowsCsv(const std::string& path, const std::vector<Phenotype>& plants);
+
+/// Writes a canopy height profile: a header row, then one row a layer, from the soil up. As safe.
+/// @throws std::runtime_error naming the file and the cause
+void writeCanopyCsv(const std::string& path, const std::vector<CanopyLayer>& layers);
 
 /// Writes how the stem of each reported plant was grown: a header row, then one row a plant in the
 /// order of their ids; metres, map frame. As safe for readers as writePhenotypeCsv().

@@ -1,5 +1,5 @@
-// Writes what the Measurement nodelet has put into its journal as plants.csv and plants.geojson,
-// when that has changed, when asked and at the end.
+// Writes what the Measurement nodelet has put into its journal as plants.csv, plants.geojson and
+// rows.csv, when that has changed, when asked and at the end.
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <rosgraph_msgs/Clock.h>
@@ -22,8 +22,8 @@ namespace {
 constexpr const char* kUsage =
     R"(Usage: rosrun field_phenotyping record_phenotypes _output_dir:=DIR [_journal:=FILE]
 
-Writes what the journal of the measurement holds as DIR/plants.csv and DIR/plants.geojson, whenever
-it has changed (at most once a second), when asked, and at the end. Metres, radians, map frame.
+Writes what the journal of the measurement holds as DIR/plants.csv, DIR/plants.geojson and DIR/rows.csv,
+whenever it has changed (at most once a second), when asked, and at the end. Metres, radians, map frame.
 
 Services
   ~export  std_srvs/Trigger: writes the files now
@@ -133,6 +133,7 @@ class PhenotypeRecorder {
       const std::vector<Phenotype> plants = table_.plants();
       writePhenotypeCsv(directory_ / "plants.csv", plants);
       writePhenotypeGeoJson(directory_ / "plants.geojson", plants, frame_id_);
+      writeRowsCsv(directory_ / "rows.csv", plants);
       return true;
     } catch (const std::exception& error) {
       ROS_ERROR_STREAM(error.what());

@@ -129,6 +129,13 @@ class Output(FieldTest):
         with open(os.path.join(out, 'plants.geojson')) as file:
             features = json.load(file)['features']
         self.assertEqual(len(features), len(PLANTS))
+        rows, _ = read_table(os.path.join(out, 'rows.csv'))
+        self.assertEqual(sum(int(row['plants']) for row in rows), len(PLANTS))
+        layers, _ = read_table(os.path.join(out, 'canopy.csv'))
+        covers = [float(layer['cover']) for layer in layers]
+        self.assertEqual(covers[0], 1.0)
+        self.assertEqual(covers, sorted(covers, reverse=True))
+        self.assertAlmostEqual(float(layers[-1]['height']), PLANT_HEIGHT, delta=0.15)
         completed = read_pcd(os.path.join(out, 'completed.pcd'))
         self.assertEqual(
             completed.dtype.names, ('x', 'y', 'z', 'rgb', 'plant_id', 'synthetic')
@@ -382,7 +389,8 @@ class BadOutput(FieldTest):
         self.assert_refused(self.measure(self.field, '-o', self.field), self.field)
 
     def test_a_file_that_cannot_be_written(self):
-        for name in ('plants.csv', 'plants.geojson', 'labels.pcd', 'completed.pcd', 'timing.json'):
+        names = ('plants.csv', 'plants.geojson', 'rows.csv', 'canopy.csv')
+        for name in names + ('labels.pcd', 'completed.pcd', 'timing.json'):
             out = self.path('blocked_' + name)
             os.makedirs(os.path.join(out, name, 'in the way'))
             self.assert_refused(self.measure(self.field, '-o', out), name)
