@@ -34,6 +34,11 @@ Vector3d transport(const StemFrame::Frame& from, const StemFrame::Frame& to) {
   return c2 > 0.0 ? Vector3d(u - 2.0 / c2 * difference.dot(u) * difference) : u;
 }
 
+/// Of a point over the plane across the axis.
+double heightOver(const StemFrame::Frame& frame, const Vector3d& point) {
+  return (point - frame.position).dot(frame.tangent);
+}
+
 /// Where between two nodes the plane across the axis holds `point`, which lies between their
 /// planes: the height over the plane is quadratic in the share, once the tangent is not normalised.
 double shareOfPlane(const StemFrame::Frame& low, const StemFrame::Frame& high,
@@ -104,28 +109,53 @@ StemFrame::Frame StemFrame::at(double s) const {
                      (s - nodes_[segment].s) / (nodes_[segment + 1].s - nodes_[segment].s));
 }
 
+std::size_t StemFrame::segmentOf(const Vector3d& point) const {
+  const Vector3d chord = nodes_.back().position - nodes_.front().position;
+  const std::size_t last = nodes_.size() - 2U;
+  const double share = (point - nodes_.front().position).dot(chord) / chord.squaredNorm();
+  const double guess = share * static_cast<double>(last + 1U);
+  // A stem is nearly straight, so that few steps lead from the guess to the segment.
+  std::size_t segment =
+      guess > 0.0 ? std::min(static_cast<std::size_t>(std::min(guess, 1e6)), last) : 0U;
+  while (segment > 0U && heightOver(nodes_[segment], point) <= 0.0) --segment;
+  while (segment < last && heightOver(nodes_[segment + 1U], point) > 0.0) ++segment;
+  return segment;
+}
+
 UnrolledPoint StemFrame::unroll(const Vector3d& point) const {
-  const auto heightOver = [&](const Frame& frame) {
-    return (point - frame.position).dot(frame.tangent);
-  };
-  Frame frame;
-  if (heightOver(nodes_.front()) <= 0.0) {
-    frame = at(heightOver(nodes_.front()));
-  } else if (heightOver(nodes_.back()) >= 0.0) {
-    frame = at(length() + heightOver(nodes_.back()));
+  Vector3d outward;
+  return unroll(point, outward);
+}
+
+UnrolledPoint StemFrame::unroll(const Vector3d& point, Vector3d& outward) const {
+  const double over_first = heightOver(nodes_.front(), point);
+  const double over_last = heightOver(nodes_.back(), point);
+  Vector3d offset, tangent, u;
+  double s = 0.0;
+  if (over_first <= 0.0 || over_last >= 0.0) {
+    const Frame& end = over_first <= 0.0 ? nodes_.front() : nodes_.back();
+    const double beyond = over_first <= 0.0 ? over_first : over_last;
+    s = end.s + beyond;
+    tangent = end.tangent;
+    u = end.u;
+    offset = point - end.position - beyond * tangent;
   } else {
-    std::size_t low = 0;
-    std::size_t high = nodes_.size() - 1;
-    while (high - low > 1) {
-      const std::size_t middle = (low + high) / 2;
-      (heightOver(nodes_[middle]) > 0.0 ? low : high) = middle;
-    }
-    frame = interpolate(low, shareOfPlane(nodes_[low], nodes_[high], point));
+    const std::size_t segment = segmentOf(point);
+    const Frame& low = nodes_[segment];
+    const Frame& high = nodes_[segment + 1U];
+    const double share = shareOfPlane(low, high, point);
+    s = low.s + share * (high.s - low.s);
+    tangent = low.tangent + share * (high.tangent - low.tangent);
+    u = low.u + share * (high.u - low.u);
+    offset = point - low.position - share * (high.position - low.position);
   }
-  const Vector3d offset = point - frame.position;
-  const double x = offset.dot(frame.u);
-  const double y = offset.dot(frame.v);
-  return {std::atan2(y, x), frame.s, std::hypot(x, y)};
+  // Between nodes tangent and u are neither of unit length nor quite at right angles; across the
+  // tangent only the length of u is off, which the angle does not feel.
+  const double length = tangent.norm();
+  const double along = offset.dot(tangent) / length;
+  const double r = std::sqrt(std::max(offset.squaredNorm() - along * along, 0.0));
+  outward = r > 0.0 ? Vector3d(offset / r) : u;
+  return {std::atan2(tangent.cross(u).dot(offset), length * u.dot(offset)), s, r};
 }
 
 Vector3d StemFrame::roll(const UnrolledPoint& point) const {

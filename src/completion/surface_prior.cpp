@@ -1,6 +1,5 @@
 #include "field_phenotyping/completion/surface_prior.hpp"
 
-#include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
@@ -11,6 +10,8 @@
 #include <random>
 #include <tuple>
 #include <utility>
+
+#include "field_phenotyping/completion/envelope_cholesky.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -156,12 +157,20 @@ std::array<double, 4> cubicBasis(double t) {
           (1.0 + 3.0 * t + 3.0 * t2 - 3.0 * t3) / 6.0, t3 / 6.0};
 }
 
-/// One row of the design: the radius at (theta, s) as a linear function of the coefficients. Shift
-/// u, shift v and radius of four control points, then the ellipse.
-struct DesignRow {
-  static constexpr int kSize = 14;
-  std::array<Eigen::Index, kSize> column{};
-  std::array<double, kSize> factor{};
+/// One row of the design: the radius at a place as a linear function of the coefficients. Shift u,
+/// shift v and radius of four control points, then the ellipse.
+constexpr std::size_t kDesignSize = 14;
+using DesignRow = std::array<double, kDesignSize>;
+
+/// A place of the unrolled stem, as the splines see it.
+struct Place {
+  int interval = 0;
+  std::array<double, 4> basis{};
+  double cosine = 1.0;  // of theta
+  double sine = 0.0;
+
+  double cosineOfTwice() const { return cosine * cosine - sine * sine; }
+  double sineOfTwice() const { return 2.0 * cosine * sine; }
 };
 
 /// Where the coefficients of the splines are found: (shift u, shift v, radius) of each control
@@ -184,77 +193,138 @@ struct Layout {
     return {interval, cubicBasis(place - interval)};
   }
 
+  Place place(double theta, double s) const {
+    const auto [interval, basis] = splines(s);
+    return {interval, basis, std::cos(theta), std::sin(theta)};
+  }
+
   /// @param mean_radius R(s) [m], which the ellipse is relative to
-  DesignRow row(double theta, double s, double mean_radius) const {
+  static DesignRow row(const Place& place, double mean_radius) {
     DesignRow row;
-    const auto [first, basis] = splines(s);
-    const double cosine = std::cos(theta);
-    const double sine = std::sin(theta);
     std::size_t k = 0;
-    for (int i = 0; i < 4; ++i) {
-      const double b = basis[static_cast<std::size_t>(i)];
-      row.column[k] = shiftU(first + i);
-      row.factor[k++] = b * cosine;
-      row.column[k] = shiftV(first + i);
-      row.factor[k++] = b * sine;
-      row.column[k] = radius(first + i);
-      row.factor[k++] = b;
+    for (const double b : place.basis) {
+      row[k++] = b * place.cosine;
+      row[k++] = b * place.sine;
+      row[k++] = b;
     }
-    row.column[k] = ellipse(0);
-    row.factor[k++] = mean_radius * (cosine * cosine - sine * sine);
-    row.column[k] = ellipse(1);
-    row.factor[k] = mean_radius * 2.0 * cosine * sine;
+    row[k++] = mean_radius * place.cosineOfTwice();
+    row[k] = mean_radius * place.sineOfTwice();
     return row;
+  }
+
+  /// Which coefficient a number of the design row belongs to.
+  Eigen::Index column(int interval, std::size_t k) const {
+    constexpr std::size_t kOfSplines = kDesignSize - 2U;
+    const auto index = static_cast<Eigen::Index>(k);
+    return k < kOfSplines ? 3 * interval + index : ellipse(static_cast<int>(k - kOfSplines));
   }
 
   double evaluate(const Eigen::VectorXd& coefficients, Eigen::Index offset, double s) const {
     const auto [first, basis] = splines(s);
+    return evaluate(coefficients, offset, first, basis);
+  }
+
+  static double evaluate(const Eigen::VectorXd& coefficients, Eigen::Index offset, int interval,
+                         const std::array<double, 4>& basis) {
     double value = 0.0;
     for (int i = 0; i < 4; ++i) {
-      value += basis[static_cast<std::size_t>(i)] * coefficients[3 * (first + i) + offset];
+      value += basis[static_cast<std::size_t>(i)] * coefficients[3 * (interval + i) + offset];
     }
     return value;
   }
+
+  static double meanRadius(const Eigen::VectorXd& coefficients, const Place& place) {
+    return evaluate(coefficients, 2, place.interval, place.basis);
+  }
+
+  /// Radius of the surface: the shifts of the axis are 0 once it has been moved.
+  double surfaceRadius(const Eigen::VectorXd& coefficients, const Place& place) const {
+    return meanRadius(coefficients, place) *
+           (1.0 + coefficients[ellipse(0)] * place.cosineOfTwice() +
+            coefficients[ellipse(1)] * place.sineOfTwice());
+  }
 };
 
-/// Radius of the surface at a place: the shifts of the axis are 0 once it has been moved.
-double surfaceRadius(const Layout& layout, const Eigen::VectorXd& coefficients, double theta,
-                     double s) {
-  const Eigen::Index ellipse = layout.ellipse(0);
-  return layout.evaluate(coefficients, 2, s) *
-         (1.0 + coefficients[ellipse] * std::cos(2.0 * theta) +
-          coefficients[ellipse + 1] * std::sin(2.0 * theta));
-}
-
 /// Normal equations, built row by row; the lower triangle is kept.
-struct NormalEquations {
-  Eigen::MatrixXd matrix;
-  Eigen::VectorXd right_side;
+class NormalEquations {
+ public:
+  using Matrix = EnvelopeCholesky::RowMatrix;
 
-  explicit NormalEquations(Eigen::Index size)
-      : matrix(Eigen::MatrixXd::Zero(size, size)), right_side(Eigen::VectorXd::Zero(size)) {}
+  explicit NormalEquations(const Layout& layout)
+      : layout_(layout),
+        matrix_(Matrix::Zero(layout.size(), layout.size())),
+        right_side_(Matrix::Zero(layout.size(), 1)),
+        blocks_(static_cast<std::size_t>(layout.intervals)) {}
 
-  /// Adds weight * (sum_k factor_k x_column_k - target)^2.
+  /// Adds weight * (sum_k factor_k x_column_k - target)^2; columns ascend.
   template <std::size_t N>
   void add(const std::array<Eigen::Index, N>& column, const std::array<double, N>& factor,
            double target, double weight) {
-    std::array<double, N> targets;
-    targets.fill(target);
-    add(column, factor, targets, weight);
-  }
-
-  /// The same with a target of its own for each row.
-  template <std::size_t N>
-  void add(const std::array<Eigen::Index, N>& column, const std::array<double, N>& factor,
-           const std::array<double, N>& target, double weight) {
     for (std::size_t a = 0; a < N; ++a) {
-      right_side[column[a]] += weight * factor[a] * target[a];
-      for (std::size_t b = 0; b < N; ++b) {
-        if (column[b] <= column[a]) matrix(column[a], column[b]) += weight * factor[a] * factor[b];
+      right_side_(column[a], 0) += weight * factor[a] * target;
+      for (std::size_t b = 0; b <= a; ++b) {
+        matrix_(column[a], column[b]) += weight * factor[a] * factor[b];
       }
     }
   }
+
+  /// The same for a design row in an interval, with a target of its own for each coefficient.
+  void add(int interval, const DesignRow& row, const DesignRow& target, double weight) {
+    Block& block = blocks_[static_cast<std::size_t>(interval)];
+    for (std::size_t a = 0; a < kDesignSize; ++a) {
+      const double factor = weight * row[a];
+      block.right_side[a] += factor * target[a];
+      for (std::size_t b = 0; b < kDesignSize; ++b) block.matrix[a][b] += factor * row[b];
+    }
+  }
+
+  /// Brings what was added by intervals into the whole; before matrix() and rightSide().
+  void assemble() {
+    for (int interval = 0; interval < layout_.intervals; ++interval) {
+      const Block& block = blocks_[static_cast<std::size_t>(interval)];
+      for (std::size_t a = 0; a < kDesignSize; ++a) {
+        const Eigen::Index row = layout_.column(interval, a);
+        right_side_(row, 0) += block.right_side[a];
+        for (std::size_t b = 0; b <= a; ++b) {
+          matrix_(row, layout_.column(interval, b)) += block.matrix[a][b];
+        }
+      }
+    }
+  }
+
+  const Matrix& matrix() const { return matrix_; }
+  const Matrix& rightSide() const { return right_side_; }
+
+  /// Rows of splines reach to the first of their interval, those of the ellipse all the way.
+  static bool decompose(const Matrix& matrix, EnvelopeCholesky& solver) {
+    return solver.compute(matrix, static_cast<Eigen::Index>(kDesignSize) - 3, 2);
+  }
+
+ private:
+  /// Of one interval, in the order of the design row.
+  struct Block {
+    std::array<DesignRow, kDesignSize> matrix{};
+    DesignRow right_side{};
+  };
+
+  const Layout& layout_;
+  Matrix matrix_;
+  Matrix right_side_;
+  std::vector<Block> blocks_;
 };
+
+/// Variance of the radius at a place from the covariance of the coefficients, which is symmetric.
+double quadraticForm(const Layout& layout, int interval, const DesignRow& row,
+                     const NormalEquations::Matrix& covariance) {
+  double form = 0.0;
+  for (std::size_t a = 0; a < kDesignSize; ++a) {
+    const Eigen::Index i = layout.column(interval, a);
+    double sum = 0.5 * row[a] * covariance(i, i);
+    for (std::size_t b = 0; b < a; ++b) sum += row[b] * covariance(i, layout.column(interval, b));
+    form += 2.0 * row[a] * sum;
+  }
+  return form;
+}
 
 /// Evens out the corners of a polyline; the ends stay.
 std::vector<Vector3d> smoothed(const std::vector<Vector3d>& curve) {
@@ -482,48 +552,55 @@ class SurfacePriorFitter {
   /// One re-weighted least-squares step: all coefficients, the axis shifts relative to the current
   /// axis. False when the equations cannot be solved.
   bool solve() {
+    placePoints();
     std::vector<double> residuals, distances;
-    for (const UnrolledPoint& p : unrolled_) {
-      residuals.push_back(p.r - radiusAt(p));
+    for (std::size_t i = 0; i < unrolled_.size(); ++i) {
+      residuals.push_back(residualOf(i));
       distances.push_back(std::abs(residuals.back()));
     }
     const double mean_radius = layout_.evaluate(coefficients_, 2, 0.5 * frame_.length());
     noise_ = std::max(kMinNoise, std::sqrt(inflation_) * quantile(distances, 0.5) /
                                      NoiseEffect::at(mean_radius / noise_).median_residual);
 
-    NormalEquations equations(layout_.size());
+    NormalEquations equations(layout_);
     addShapePrior(equations);
     for (std::size_t i = 0; i < unrolled_.size(); ++i) {
-      addPoint(unrolled_[i], tukeyWeight(residuals[i] / noise_) / (noise_ * noise_), equations);
+      const double weight = tukeyWeight(residuals[i] / noise_);
+      if (weight > 0.0) addPoint(i, weight / (noise_ * noise_), equations);
     }
-    normal_matrix_ = equations.matrix;
-    solver_.compute(normal_matrix_);
-    if (solver_.info() != Eigen::Success) return false;
-    coefficients_ = solver_.solve(equations.right_side);
+    equations.assemble();
+    normal_matrix_ = equations.matrix();
+    if (!NormalEquations::decompose(normal_matrix_, solver_)) return false;
+    NormalEquations::Matrix solution = equations.rightSide();
+    solver_.solveInPlace(solution);
+    coefficients_ = solution.col(0);
     return coefficients_.allFinite();
   }
 
   /// Noise moves a point outwards on average, and its angle at the same time: each row's target
   /// has a bias of its own.
-  void addPoint(const UnrolledPoint& p, double weight, NormalEquations& equations) const {
-    const double radius = layout_.evaluate(coefficients_, 2, p.s);
+  void addPoint(std::size_t i, double weight, NormalEquations& equations) const {
+    const double r = unrolled_[i].r;
+    const double radius = Layout::meanRadius(coefficients_, places_[i]);
     const NoiseEffect effect = NoiseEffect::at(radius / noise_);
-    const double shift = p.r - noise_ * effect.shift_bias;
-    const double mean = p.r - noise_ * effect.radius_bias;
-    const double ellipse = p.r - noise_ * effect.ellipse_bias;
-    const std::array<double, DesignRow::kSize> target{shift, shift, mean,    shift,  shift,
-                                                      mean,  shift, shift,   mean,   shift,
-                                                      shift, mean,  ellipse, ellipse};
-    const DesignRow row = layout_.row(p.theta, p.s, radius);
-    equations.add(row.column, row.factor, target, weight);
+    const double shift = r - noise_ * effect.shift_bias;
+    const double mean = r - noise_ * effect.radius_bias;
+    const double ellipse = r - noise_ * effect.ellipse_bias;
+    const DesignRow target{shift, shift, mean,  shift, shift, mean,    shift,
+                           shift, mean,  shift, shift, mean,  ellipse, ellipse};
+    equations.add(places_[i].interval, Layout::row(places_[i], radius), target, weight);
   }
 
-  double radiusAt(const UnrolledPoint& p) const {
-    return surfaceRadius(layout_, coefficients_, p.theta, p.s) + noiseBias(p.s);
+  void placePoints() {
+    places_.clear();
+    for (const UnrolledPoint& p : unrolled_) places_.push_back(layout_.place(p.theta, p.s));
   }
 
-  double noiseBias(double s) const {
-    return noise_ * NoiseEffect::at(layout_.evaluate(coefficients_, 2, s) / noise_).radius_bias;
+  /// How far a point lies beyond the surface, noise bias taken off [m].
+  double residualOf(std::size_t i) const {
+    const double radius = Layout::meanRadius(coefficients_, places_[i]);
+    return unrolled_[i].r - layout_.surfaceRadius(coefficients_, places_[i]) -
+           noise_ * NoiseEffect::at(radius / noise_).radius_bias;
   }
 
   /// Small second derivatives, weak ties to the axis and the radius as segmented.
@@ -603,16 +680,22 @@ class SurfacePriorFitter {
     return longest;
   }
 
-  double noiseInflation() const {
-    SurfacePrior prior(frame_, layout_.intervals);
-    prior.coefficients_ = coefficients_;
-    prior.covariance_ = solver_.solve(Eigen::MatrixXd::Identity(layout_.size(), layout_.size()));
+  double noiseInflation() {
+    placePoints();
+    NormalEquations::Matrix inverse =
+        NormalEquations::Matrix::Identity(layout_.size(), layout_.size());
+    solver_.solveInPlace(inverse);
     double inliers = 0.0;
     double used_freedom = 0.0;
-    for (const UnrolledPoint& p : unrolled_) {
-      const double weight = tukeyWeight((p.r - radiusAt(p)) / noise_);
+    for (std::size_t i = 0; i < unrolled_.size(); ++i) {
+      const double weight = tukeyWeight(residualOf(i) / noise_);
+      if (!(weight > 0.0)) continue;
+      const double mean_radius = Layout::meanRadius(coefficients_, places_[i]);
       inliers += weight;
-      used_freedom += weight * prior.variance(p.theta, p.s) / (noise_ * noise_);
+      used_freedom += weight *
+                      quadraticForm(layout_, places_[i].interval,
+                                    Layout::row(places_[i], mean_radius), inverse) /
+                      (noise_ * noise_);
     }
     return inliers / std::max(inliers - used_freedom, 1.0);
   }
@@ -620,23 +703,32 @@ class SurfacePriorFitter {
   /// Of the coefficients. Noise spreads the angles of the points, so that their normal matrix
   /// believes in more of the circumference than was seen: the information is that of the angles
   /// before the noise, while the score varies as the points do.
-  Eigen::MatrixXd covariance() const {
-    NormalEquations information(layout_.size());
+  NormalEquations::Matrix covariance() const {
+    NormalEquations information(layout_);
     addShapePrior(information);
     const std::vector<double> angles = anglesBeforeNoise();
     for (std::size_t i = 0; i < unrolled_.size(); ++i) {
-      const UnrolledPoint& p = unrolled_[i];
-      const double weight = tukeyWeight((p.r - radiusAt(p)) / noise_) / (noise_ * noise_);
-      const DesignRow row = layout_.row(angles[i], p.s, layout_.evaluate(coefficients_, 2, p.s));
-      information.add(row.column, row.factor, 0.0, weight);
+      const double weight = tukeyWeight(residualOf(i) / noise_);
+      if (!(weight > 0.0)) continue;
+      Place place = places_[i];
+      place.cosine = std::cos(angles[i]);
+      place.sine = std::sin(angles[i]);
+      information.add(place.interval, Layout::row(place, Layout::meanRadius(coefficients_, place)),
+                      {}, weight / (noise_ * noise_));
     }
-    const Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> solver(information.matrix);
-    if (solver.info() != Eigen::Success) {
-      return solver_.solve(Eigen::MatrixXd::Identity(layout_.size(), layout_.size()));
+    information.assemble();
+    NormalEquations::Matrix half = normal_matrix_;
+    half.triangularView<Eigen::StrictlyUpper>() = normal_matrix_.transpose();
+    EnvelopeCholesky solver;
+    if (!NormalEquations::decompose(information.matrix(), solver)) {
+      half.setIdentity();
+      solver_.solveInPlace(half);
+      return half;
     }
-    const Eigen::MatrixXd half =
-        solver.solve(Eigen::MatrixXd(normal_matrix_.selfadjointView<Eigen::Lower>()));
-    return solver.solve(half.transpose());
+    solver.solveInPlace(half);
+    half.transposeInPlace();
+    solver.solveInPlace(half);
+    return half;
   }
 
   /// The angles of the points, drawn together round their mean in each window along the stem by as
@@ -675,14 +767,15 @@ class SurfacePriorFitter {
   }
 
   std::optional<SurfacePrior> finish() {
+    placePoints();
     SurfacePrior prior(frame_, layout_.intervals);
     prior.coefficients_ = coefficients_;
     prior.covariance_ = covariance();
     prior.noise_ = noise_;
     prior.begin_ = given_begin_;
     double inliers = 0.0;
-    for (const UnrolledPoint& p : unrolled_) {
-      inliers += tukeyWeight((p.r - radiusAt(p)) / noise_);
+    for (std::size_t i = 0; i < unrolled_.size(); ++i) {
+      inliers += tukeyWeight(residualOf(i) / noise_);
     }
     if (inliers < kMinInlierShare * static_cast<double>(unrolled_.size())) return std::nullopt;
 
@@ -721,9 +814,10 @@ class SurfacePriorFitter {
   std::vector<UnrolledPoint> unrolled_;
   Eigen::VectorXd coefficients_;
   double noise_ = kMinNoise;
-  double inflation_ = 1.0;  // of its square
-  Eigen::MatrixXd normal_matrix_;
-  Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> solver_;
+  double inflation_ = 1.0;     // of its square
+  std::vector<Place> places_;  // of unrolled_
+  NormalEquations::Matrix normal_matrix_;
+  EnvelopeCholesky solver_;
 };
 
 SurfacePrior::SurfacePrior(StemFrame frame, int intervals)
@@ -738,7 +832,8 @@ std::optional<SurfacePrior> SurfacePrior::fit(const std::vector<Vector3d>& point
 }
 
 double SurfacePrior::radius(double theta, double s) const {
-  return surfaceRadius(Layout{intervals_, interval_length_}, coefficients_, theta, s);
+  const Layout layout{intervals_, interval_length_};
+  return layout.surfaceRadius(coefficients_, layout.place(theta, s));
 }
 
 double SurfacePrior::meanRadiusAt(double s) const {
@@ -757,14 +852,9 @@ double SurfacePrior::noiseBias(double s) const {
 
 double SurfacePrior::variance(double theta, double s) const {
   const Layout layout{intervals_, interval_length_};
-  const DesignRow row = layout.row(theta, s, layout.evaluate(coefficients_, 2, s));
-  double variance = 0.0;
-  for (std::size_t a = 0; a < DesignRow::kSize; ++a) {
-    for (std::size_t b = 0; b < DesignRow::kSize; ++b) {
-      variance += row.factor[a] * row.factor[b] * covariance_(row.column[a], row.column[b]);
-    }
-  }
-  return variance;
+  const Place place = layout.place(theta, s);
+  return quadraticForm(layout, place.interval,
+                       Layout::row(place, Layout::meanRadius(coefficients_, place)), covariance_);
 }
 
 double SurfacePrior::robustWeight(double residual) const {

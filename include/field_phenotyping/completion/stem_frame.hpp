@@ -35,6 +35,8 @@ class StemFrame {
   explicit StemFrame(const std::vector<Eigen::Vector3d>& curve);
 
   UnrolledPoint unroll(const Eigen::Vector3d& point) const;
+  /// @param[out] outward unit vector from the axis to the point
+  UnrolledPoint unroll(const Eigen::Vector3d& point, Eigen::Vector3d& outward) const;
   Eigen::Vector3d roll(const UnrolledPoint& point) const;
   Frame at(double s) const;
 
@@ -42,6 +44,8 @@ class StemFrame {
   const std::vector<Frame>& nodes() const { return nodes_; }
 
  private:
+  /// Number of the lower node of the segment that a point between the ends lies beside.
+  std::size_t segmentOf(const Eigen::Vector3d& point) const;
   Frame interpolate(std::size_t segment, double share) const;
 
   std::vector<Frame> nodes_;

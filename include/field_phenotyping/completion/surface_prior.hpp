@@ -61,7 +61,8 @@ class SurfacePrior {
   double noise_ = 0.0;
   double begin_ = 0.0;
   Eigen::VectorXd coefficients_;  // axis shift u, axis shift v, radius of each knot; cos 2t, sin 2t
-  Eigen::MatrixXd covariance_;    // of the coefficients
+  // Of the coefficients, row by row.
+  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> covariance_;
 };
 
 }  // namespace field_phenotyping
