@@ -3,8 +3,6 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
-#include <map>
-#include <utility>
 
 #include "field_phenotyping/common/median.hpp"
 
@@ -34,31 +32,45 @@ double areaPerCenter(const SurfaceIndex& index, const SurfacePosition& position)
   return kPi * nearest.squared_distance[nearest.count - 1] / static_cast<double>(nearest.count);
 }
 
+/// What falls into one cell; the place relative to the cell's first.
 struct Cell {
-  double cos_sum = 0.0, sin_sum = 0.0, s_sum = 0.0, value_sum = 0.0, weight = 0.0;
+  double turn_sum = 0.0, s_sum = 0.0, value_sum = 0.0, weight = 0.0;
 };
 
 }  // namespace
 
 std::vector<SurfaceSample> thinSamples(const std::vector<SurfaceSample>& samples,
                                        const CenterLattice& lattice) {
-  std::map<std::pair<long, long>, Cell> cells;
+  if (samples.empty()) return {};
+  const auto rowOf = [&](const SurfaceSample& sample) {
+    return std::lround(std::floor(sample.position.s / lattice.row_height));
+  };
+  long first = rowOf(samples.front());
+  long last = first;
+  for (const SurfaceSample& sample : samples) {
+    first = std::min(first, rowOf(sample));
+    last = std::max(last, rowOf(sample));
+  }
+  const auto columns = static_cast<std::size_t>(lattice.columns);
+  std::vector<Cell> cells(static_cast<std::size_t>(last - first + 1) * columns);
   for (const SurfaceSample& sample : samples) {
     const double turn = (sample.position.theta + kPi) / (2.0 * kPi);
-    const long column = std::lround(std::floor((turn - std::floor(turn)) * lattice.columns));
-    const long row = std::lround(std::floor(sample.position.s / lattice.row_height));
-    Cell& c = cells[{row, column}];
-    c.cos_sum += sample.weight * std::cos(sample.position.theta);
-    c.sin_sum += sample.weight * std::sin(sample.position.theta);
+    const double place = (turn - std::floor(turn)) * lattice.columns;
+    const std::size_t column = std::min(static_cast<std::size_t>(place), columns - 1U);
+    Cell& c = cells[static_cast<std::size_t>(rowOf(sample) - first) * columns + column];
+    c.turn_sum += sample.weight * (place - static_cast<double>(column));
     c.s_sum += sample.weight * sample.position.s;
     c.value_sum += sample.weight * sample.value;
     c.weight += sample.weight;
   }
   std::vector<SurfaceSample> thinned;
-  thinned.reserve(cells.size());
-  for (const auto& [key, c] : cells) {
-    thinned.push_back(
-        {{std::atan2(c.sin_sum, c.cos_sum), c.s_sum / c.weight}, c.value_sum / c.weight, c.weight});
+  for (std::size_t i = 0; i < cells.size(); ++i) {
+    const Cell& c = cells[i];
+    if (!(c.weight > 0.0)) continue;
+    const double place = static_cast<double>(i % columns) + c.turn_sum / c.weight;
+    thinned.push_back({{2.0 * kPi * place / lattice.columns - kPi, c.s_sum / c.weight},
+                       c.value_sum / c.weight,
+                       c.weight});
   }
   return thinned;
 }

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <cstring>
 #include <map>
 #include <optional>
 #include <utility>
@@ -18,7 +17,6 @@ namespace field_phenotyping {
 namespace {
 
 constexpr double kTwoPi = 6.28318530717958647692;
-constexpr double kMinRobustWeight = 0.1;
 constexpr double kMaxPoints = 40000.0;        // made up per stem, whatever density is asked for
 constexpr double kMaxDensity = 1e6;           // [1/m^2] finer than any sensor
 constexpr double kMinPointsPerMetre = 100.0;  // six for each knot of the coarse model: with fewer
@@ -50,7 +48,7 @@ struct StemState {
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();
   std::vector<double> settings;  ///< all that regions share
   std::array<double, 2> ellipse{};
-  std::map<long, SolvedRegion> regions;
+  std::map<long, std::shared_ptr<const SolvedRegion>> regions;
 };
 
 namespace {
@@ -64,32 +62,20 @@ std::vector<Eigen::Vector3d> extractPoints(const PointCloud& cloud, IndexSpan st
   return points;
 }
 
-/// Step 1: the measured points (Eq 17) on the unrolled stem, in order of s.
-std::vector<StemPoint> unrollPoints(const PointCloud& cloud, IndexSpan stem,
-                                    const SurfacePrior& prior) {
-  std::vector<StemPoint> points(stem.size());
-  for (std::uint32_t i = stem.begin; i < stem.end; ++i) {
-    StemPoint& p = points[i - stem.begin];
-    p.point = cloud.points[i];
-    if (cloud.hasColors()) p.color = cloud.colors[i];
-    p.rank = i - stem.begin;
-    p.unrolled = prior.frame().unroll(p.point.cast<double>());
-    p.deviation =
-        p.unrolled.r - prior.radius(p.unrolled.theta, p.unrolled.s) - prior.noiseBias(p.unrolled.s);
-    p.weight = prior.robustWeight(p.deviation);
-  }
-  std::sort(points.begin(), points.end(), [](const StemPoint& a, const StemPoint& b) {
-    return a.unrolled.s != b.unrolled.s ? a.unrolled.s < b.unrolled.s : a.rank < b.rank;
-  });
-  return points;
+/// Cells of the measured surface: fine against the bilateral filter, whatever the points' number.
+double cellOf(const SurfacePrior& prior, const CompletionParameters& parameters) {
+  constexpr double kOfFilter = 0.75;
+  constexpr double kOfRadius = 0.225;  // where nothing is filtered
+  constexpr double kLeast = 0.001;     // [m]
+  constexpr double kMost = 0.015;      // [m]
+  const double share = parameters.smoothing > 0.0 ? kOfFilter * parameters.smoothing : kOfRadius;
+  return std::clamp(share * levelled(prior.meanRadius()), kLeast, kMost);
 }
 
-std::vector<SurfaceSample> surfaceSamples(const StemModel& model) {
+std::vector<SurfaceSample> surfaceSamples(const MeasuredSurface& measured, double prior_weight) {
   std::vector<SurfaceSample> samples;
-  for (const StemPoint& p : model.points) {
-    if (p.weight < kMinRobustWeight) continue;
-    samples.push_back(
-        {{p.unrolled.theta, p.unrolled.s}, model.prior_weight * p.deviation, p.weight});
+  for (const MeasuredSurface::Cell& cell : measured.cells()) {
+    samples.push_back({cell.position, prior_weight * cell.deviation, cell.weight});
   }
   return samples;
 }
@@ -105,15 +91,21 @@ double lowerEnd(const SurfacePrior& prior, const GroundModel& ground, double low
   return lowest;
 }
 
-double densityOf(const std::vector<SurfaceSample>& samples, const SurfacePrior& prior,
-                 double length, const CompletionParameters& parameters) {
+/// Of a stem with many points a part tells the density.
+double ownDensity(const MeasuredSurface& measured, double radius) {
+  constexpr std::size_t kMostPlaces = 4000;
+  const std::size_t stride = 1U + measured.size() / kMostPlaces;
+  std::vector<SurfacePosition> part;
+  for (std::size_t i = 0; i < measured.size(); i += stride) part.push_back(measured.places()[i]);
+  return static_cast<double>(stride) * medianDensity(SurfaceIndex(part, radius), part);
+}
+
+double densityOf(const MeasuredSurface& measured, const SurfacePrior& prior, double length,
+                 const CompletionParameters& parameters) {
   double density = parameters.density;
   if (!(density > 0.0)) {
-    std::vector<SurfacePosition> positions;
-    for (const SurfaceSample& sample : samples) positions.push_back(sample.position);
     const double around = parameters.points_around / (kTwoPi * prior.meanRadius());
-    density = std::max(medianDensity(SurfaceIndex(positions, prior.meanRadius()), positions),
-                       around * around);
+    density = std::max(ownDensity(measured, prior.meanRadius()), around * around);
     if (density > 0.0) density = levelled(density);
   }
   const double area = kTwoPi * prior.meanRadius() * length;
@@ -130,30 +122,12 @@ CenterLattice latticeOf(const SurfacePrior& prior, double max_centers) {
           std::max(3, static_cast<int>(std::floor(around / cell)))};
 }
 
-std::uint64_t hashOf(const StemPoint& p) {
-  std::uint64_t hash = p.color;
-  for (int axis = 0; axis < 3; ++axis) {
-    std::uint32_t bits = 0U;
-    const float value = p.point[axis];
-    std::memcpy(&bits, &value, sizeof(bits));
-    hash = (hash ^ bits) * 0x9E3779B97F4A7C15U;
-    hash ^= hash >> 29U;
-  }
-  return hash;
-}
-
-/// Of the measured points in and round a region, whatever their order.
-std::uint64_t hashPoints(const StemModel& model, double begin, double end) {
-  std::uint64_t hash = 0U;
-  const auto [first, last] = pointsBetween(model, begin - kRegionMargin, end + kRegionMargin);
-  for (auto p = first; p != last; ++p) hash += hashOf(*p);
-  return hash;
-}
-
 SolvedRegion describeRegion(const StemModel& model, long index) {
   SolvedRegion solved;
   const double begin = regionBegin(model.prior, index);
-  solved.points = hashPoints(model, begin, begin + kRegionLength);
+  for (long k = -1; k <= kSlicesPerRegion; ++k) {
+    solved.points += model.measured.slice(kSlicesPerRegion * index + k).hash;
+  }
   for (std::size_t k = 0; k < 3; ++k) {
     const double s = begin + 0.5 * kRegionLength * static_cast<double>(k);
     solved.axis[k] = model.prior.frame().at(s).position;
@@ -203,6 +177,30 @@ std::vector<double> settingsOf(const StemModel& model) {
           model.surface.amplitude};
 }
 
+/// The measured points of the picture after the bilateral filter (Eq 25): each along its normal.
+void smoothMeasured(const PointCloud& cloud, IndexSpan stem, const SurfacePrior& prior,
+                    const MeasuredSurface& measured, const StemState& state,
+                    std::vector<Eigen::Vector3f>& smoothed) {
+  constexpr float kMostOfAColor = 255.0F;
+  long index = 0;
+  const StemRegion* region = nullptr;
+  for (std::size_t i = 0; i < measured.points().size(); ++i) {
+    const MeasuredSurface::Point& p = measured.points()[i];
+    if (!p.on_surface) continue;
+    const long at = regionAt(prior, p.position.s);
+    if (region == nullptr || at != index) {
+      region = &state.regions.at(at)->region;
+      index = at;
+    }
+    if (!region->is_smoothed) continue;
+    Eigen::Vector3f color = Eigen::Vector3f::Zero();
+    if (cloud.hasColors()) color = rgbOf(cloud.colors[stem.begin + i]) / kMostOfAColor;
+    const SurfacePosition place{p.position.theta, p.position.s - regionBegin(prior, index)};
+    const auto filtered = static_cast<float>(region->filter.at(place, color));
+    smoothed[i] += (filtered - p.deviation - p.noise_bias) * p.outward;
+  }
+}
+
 }  // namespace
 
 CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
@@ -223,29 +221,25 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
   const std::optional<SurfacePrior> prior =
       SurfacePrior::fit(extractPoints(cloud, stem), axis, 0.5 * parameters.max_gap);
   if (!prior) return completed;
-  StemModel model{*prior, ground};
-  model.points = unrollPoints(cloud, stem, *prior);
-  model.has_colors = cloud.hasColors();
-  model.prior_weight = parameters.prior_weight;
-  const std::vector<SurfaceSample> samples = surfaceSamples(model);
-  if (samples.size() < min_points) return completed;
+  const MeasuredSurface measured(cloud, stem, *prior, cellOf(*prior, parameters));
+  if (measured.size() < min_points) return completed;
   completed.solution.flags = 0U;
-  const double seen = model.points.back().unrolled.s - model.points.front().unrolled.s;
-  if (static_cast<double>(samples.size()) < kMinPointsPerMetre * seen) {
+  const double seen = measured.highest() - measured.lowest();
+  if (static_cast<double>(measured.size()) < kMinPointsPerMetre * seen) {
     completed.solution.flags = kCompletionTooFewPoints;
     return completed;
   }
 
-  std::vector<double> arc_lengths;
-  for (const SurfaceSample& sample : samples) arc_lengths.push_back(sample.position.s);
-  model.range = findFillRange(std::move(arc_lengths), parameters.max_gap);
+  StemModel model{*prior, measured, ground};
+  model.prior_weight = parameters.prior_weight;
+  model.range = findFillRange(measured.rowEnds(), parameters.max_gap);
   model.range.begin = lowerEnd(*prior, ground, model.range.begin, parameters.max_gap);
   if (!model.range.open.empty()) completed.solution.flags |= kCompletionOpenGap;
   for (const auto& stretch : emptyStretches(*prior, sight)) {
     model.range.open.push_back(stretch);
     completed.solution.flags |= kCompletionSeenEmpty;
   }
-  model.density = densityOf(samples, *prior, model.range.end - model.range.begin, parameters);
+  model.density = densityOf(measured, *prior, model.range.end - model.range.begin, parameters);
   completed.density = model.density;
   model.smoothing = parameters.smoothing * levelled(prior->meanRadius());
   model.max_stddev = parameters.max_stddev;
@@ -254,7 +248,8 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
   model.surface.ridge = parameters.ridge;
   model.surface.noise = parameters.prior_weight * levelled(prior->noise());
   model.surface.amplitude = levelled(
-      amplitudeOf(thinSamples(samples, model.lattice), parameters.prior_weight * prior->noise()));
+      amplitudeOf(thinSamples(surfaceSamples(measured, parameters.prior_weight), model.lattice),
+                  parameters.prior_weight * prior->noise()));
   model.surface.center_area =
       model.lattice.row_height * kTwoPi * levelled(prior->meanRadius()) / model.lattice.columns;
 
@@ -269,31 +264,27 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
                                         previous->ellipse[1] - state->ellipse[1]) *
                                      prior->meanRadius() <
                                  kSameModel;
-  const double low = std::min(model.range.begin, model.points.front().unrolled.s);
-  const double high = std::max(model.range.end, model.points.back().unrolled.s);
+  const double low = std::min(model.range.begin, measured.lowest());
+  const double high = std::max(model.range.end, measured.highest());
   for (long k = regionAt(*prior, low); k <= regionAt(*prior, high); ++k) {
-    SolvedRegion solved = describeRegion(model, k);
-    const std::vector<std::uint32_t> own = regionPoints(model, k);
+    auto solved = std::make_shared<SolvedRegion>(describeRegion(model, k));
     ++completed.solution.regions;
-    const auto old =
-        may_take_over ? previous->regions.find(k) : std::map<long, SolvedRegion>::const_iterator{};
-    if (may_take_over && old != previous->regions.end() && isSame(old->second, solved)) {
-      solved = old->second;
+    const auto old = may_take_over ? previous->regions.find(k) : state->regions.end();
+    if (may_take_over && old != previous->regions.end() && isSame(*old->second, *solved)) {
+      state->regions.emplace(k, old->second);
     } else {
-      solved.region = solveRegion(model, k, own);
+      solved->region = solveRegion(model, k);
       ++completed.solution.regions_solved;
+      state->regions.emplace(k, std::move(solved));
     }
-    const StemRegion& region = solved.region;
+    const StemRegion& region = state->regions.at(k)->region;
     completed.points.insert(completed.points.end(), region.points.begin(), region.points.end());
     completed.colors.insert(completed.colors.end(), region.colors.begin(), region.colors.end());
     completed.stddev.insert(completed.stddev.end(), region.stddev.begin(), region.stddev.end());
     if (region.uncertain > 0U) completed.solution.flags |= kCompletionUncertain;
     if (region.no_surface) completed.solution.flags |= kCompletionNoSurface;
-    for (std::size_t i = 0; i < own.size(); ++i) {
-      completed.solution.smoothed[model.points[own[i]].rank] = region.smoothed[i];
-    }
-    state->regions.emplace(k, std::move(solved));
   }
+  smoothMeasured(cloud, stem, *prior, measured, *state, completed.solution.smoothed);
   completed.solution.state = state;
   return completed;
 }

@@ -5,35 +5,21 @@
 #include <array>
 #include <cmath>
 #include <limits>
-#include <tuple>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
-#include "field_phenotyping/completion/bilateral_filter.hpp"
 #include "field_phenotyping/completion/topology_repair.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr double kMinRobustWeight = 0.1;
 constexpr std::size_t kColorNeighbors = 4;
 constexpr double kMapStep = 0.0151;  // [m] of the coarse map: fine against the kernels
 constexpr int kMapColumns = 12;
 constexpr double kSigmaNormal = 0.5;  // [-] of the difference of unit normals
 constexpr double kSigmaColor = 0.2;   // [-] of rgb in [0, 1]
-
-Eigen::Vector3f rgbOf(std::uint32_t color) {
-  return Eigen::Vector3f(static_cast<float>((color >> 16U) & 0xFFU),
-                         static_cast<float>((color >> 8U) & 0xFFU),
-                         static_cast<float>(color & 0xFFU));
-}
-
-std::uint32_t packed(const Eigen::Vector3f& rgb) {
-  const Eigen::Array<std::uint32_t, 3, 1> bytes =
-      rgb.array().round().max(0.0F).min(255.0F).cast<std::uint32_t>();
-  return bytes[0] << 16U | bytes[1] << 8U | bytes[2];
-}
+constexpr float kMostOfAColor = 255.0F;
 
 /// Surface, its uncertainty and its colour at the nodes of a coarse grid over one region, linear
 /// between them: all are smooth at the kernels' scale.
@@ -60,29 +46,49 @@ class CoarseMap {
     }
   }
 
-  Node at(const SurfacePosition& place) const {
-    const double up = std::clamp((place.s - begin_) / step_, 0.0, rows_ - 1e-9);
-    const double turn = (place.theta + kPi) / (2.0 * kPi);
-    const double round = (turn - std::floor(turn)) * kMapColumns;
-    const int row = static_cast<int>(up);
-    const int column = std::min(static_cast<int>(round), kMapColumns - 1);
-    const double b = up - row;
-    const double a = round - column;
+  /// The nodes interpolated at one arc length: places come row by row.
+  class Row {
+   public:
+    Node at(double theta) const {
+      const double turn = (theta + kPi) / (2.0 * kPi);
+      const double round = (turn - std::floor(turn)) * kMapColumns;
+      const int column = std::min(static_cast<int>(round), kMapColumns - 1);
+      const Node& left = nodes_[static_cast<std::size_t>(column)];
+      const Node& right = nodes_[static_cast<std::size_t>(column) + 1U];
+      return mix(left, right, round - column, has_colors_);
+    }
+
+   private:
+    friend class CoarseMap;
+
+    std::array<Node, kMapColumns + 1> nodes_;  // the last is the first again
+    bool has_colors_ = false;
+  };
+
+  Row rowAt(double s) const {
+    const double up = std::clamp((s - begin_) / step_, 0.0, rows_ - 1e-9);
+    const auto first = static_cast<std::size_t>(up) * kMapColumns;
+    const double share = up - std::floor(up);
+    Row row;
+    row.has_colors_ = has_colors_;
+    for (std::size_t k = 0; k < kMapColumns; ++k) {
+      row.nodes_[k] = mix(nodes_[first + k], nodes_[first + kMapColumns + k], share, has_colors_);
+    }
+    row.nodes_[kMapColumns] = row.nodes_[0];
+    return row;
+  }
+
+  Node at(const SurfacePosition& place) const { return rowAt(place.s).at(place.theta); }
+
+ private:
+  static Node mix(const Node& a, const Node& b, double share, bool has_colors) {
     Node node;
-    const auto add = [&](int r, int c, double share) {
-      const Node& of = nodes_[static_cast<std::size_t>(r * kMapColumns + c % kMapColumns)];
-      node.deviation += share * of.deviation;
-      node.variance += share * of.variance;
-      if (has_colors_) node.rgb += static_cast<float>(share) * of.rgb;
-    };
-    add(row, column, (1.0 - a) * (1.0 - b));
-    add(row, column + 1, a * (1.0 - b));
-    add(row + 1, column, (1.0 - a) * b);
-    add(row + 1, column + 1, a * b);
+    node.deviation = a.deviation + share * (b.deviation - a.deviation);
+    node.variance = a.variance + share * (b.variance - a.variance);
+    if (has_colors) node.rgb = a.rgb + static_cast<float>(share) * (b.rgb - a.rgb);
     return node;
   }
 
- private:
   bool has_colors_;
   double begin_;
   int rows_;
@@ -91,14 +97,14 @@ class CoarseMap {
 };
 
 /// Eq 23: mean of the nearest measured colours, weighted by inverse distance.
-Eigen::Vector3f blendColors(const std::vector<const StemPoint*>& measured,
+Eigen::Vector3f blendColors(const std::vector<const MeasuredSurface::Cell*>& cells,
                             const SurfaceIndex::Nearest<kColorNeighbors>& nearest) {
   constexpr double kTouching = 1e-6;  // [m^2]
   double total = 0.0;
   Eigen::Vector3f sum = Eigen::Vector3f::Zero();
   for (std::size_t k = 0; k < nearest.count; ++k) {
     const double weight = 1.0 / std::sqrt(nearest.squared_distance[k] + kTouching);
-    sum += static_cast<float>(weight) * rgbOf(measured[nearest.index[k]]->color);
+    sum += static_cast<float>(weight) * cells[nearest.index[k]]->rgb;
     total += weight;
   }
   return total > 0.0 ? Eigen::Vector3f(sum / static_cast<float>(total)) : sum;
@@ -132,9 +138,8 @@ class TurnTable {
 
 class RegionSolver {
  public:
-  RegionSolver(const StemModel& model, long index, const std::vector<std::uint32_t>& own)
+  RegionSolver(const StemModel& model, long index)
       : model_(model),
-        own_(own),
         begin_(regionBegin(model.prior, index)),
         end_(begin_ + kRegionLength),
         index_(index) {}
@@ -143,46 +148,59 @@ class RegionSolver {
     gather();
     if (!isOneSurface()) {
       region_.no_surface = true;
-      keepMeasured();
       return std::move(region_);
     }
     const RbfSurface surface(thinSamples(samples_, model_.lattice), model_.prior.meanRadius(),
                              model_.surface);
-    const CoarseMap map(begin_, end_, model_.has_colors,
+    const CoarseMap map(begin_, end_, model_.measured.hasColors(),
                         [&](const SurfacePosition& place) { return describe(surface, place); });
     fill(map);
     repair(map);
-    smooth();
+    smooth(map);
     finish(map);
     return std::move(region_);
   }
 
  private:
-  /// The measured points in the region and round it.
+  /// What was measured in the region and beside it.
   void gather() {
-    const auto [first, last] = pointsBetween(model_, begin_ - kRegionMargin, end_ + kRegionMargin);
-    for (auto p = first; p != last; ++p) {
-      if (p->weight < kMinRobustWeight) continue;
-      const SurfacePosition position{p->unrolled.theta, p->unrolled.s};
-      measured_.push_back(&*p);
-      positions_.push_back(position);
+    const MeasuredSurface& measured = model_.measured;
+    const long first = kSlicesPerRegion * index_ - 1;
+    const long last = first + kSlicesPerRegion + 2;
+    const auto [first_cell, end_cell] = measured.cellsOf(first, last);
+    std::vector<SurfacePosition> positions;
+    for (std::size_t i = first_cell; i < end_cell; ++i) {
+      const MeasuredSurface::Cell& cell = measured.cells()[i];
+      cells_.push_back(&cell);
+      positions.push_back(cell.position);
       // Eq 20: z' = alpha z + (1 - alpha) f. Relative to f that is alpha (z - f), so that the
       // surface goes back to the prior where nothing was measured.
-      samples_.push_back({position, model_.prior_weight * p->deviation, p->weight});
+      samples_.push_back({cell.position, model_.prior_weight * cell.deviation, cell.weight});
     }
-    index_of_measured_ = SurfaceIndex(positions_, model_.prior.meanRadius());
+    index_of_cells_ = SurfaceIndex(positions, model_.prior.meanRadius());
+    // Beside the region only those count that are as near as the density asks for.
+    const double reach = 1.0 / std::sqrt(std::max(model_.density, 1.0));
+    const auto [first_place, end_place] = measured.placesOf(first, last);
+    places_.reserve(end_place - first_place);
+    for (std::size_t i = first_place; i < end_place; ++i) {
+      const SurfacePosition& place = measured.places()[i];
+      if (place.s > begin_ - reach && place.s < end_ + reach) places_.push_back(place);
+    }
   }
 
   /// Whether the region's points lie about its prior surface: not on the branches of a fork.
   bool isOneSurface() const {
     constexpr std::size_t kEnough = 8;
     constexpr double kLeastShare = 0.65;
-    const auto [first, last] = pointsBetween(model_, begin_, end_);
-    const auto all = static_cast<std::size_t>(last - first);
-    if (all < kEnough) return true;
-    const auto on_surface =
-        std::count_if(first, last, [](const StemPoint& p) { return p.weight >= kMinRobustWeight; });
-    return static_cast<double>(on_surface) >= kLeastShare * static_cast<double>(all);
+    std::size_t all = 0U;
+    std::size_t on_surface = 0U;
+    for (long k = 0; k < kSlicesPerRegion; ++k) {
+      const MeasuredSurface::Slice slice = model_.measured.slice(kSlicesPerRegion * index_ + k);
+      all += slice.points;
+      on_surface += slice.on_surface;
+    }
+    return all < kEnough ||
+           static_cast<double>(on_surface) >= kLeastShare * static_cast<double>(all);
   }
 
   /// The variance is that of the prior, and of the deviation from it, of which less is known the
@@ -190,7 +208,7 @@ class RegionSolver {
   CoarseMap::Node describe(const RbfSurface& surface, const SurfacePosition& place) const {
     CoarseMap::Node node;
     const double width = surface.kernelWidth();
-    const auto nearest = index_of_measured_.nearestWithin<1>(place, 2.0 * width);
+    const auto nearest = index_of_cells_.nearestWithin<1>(place, 2.0 * width);
     if (nearest.count > 0) node.deviation = surface.valueAt(place);
     const double known =
         nearest.count > 0 ? std::exp(-2.0 * nearest.squared_distance[0] / (width * width)) : 0.0;
@@ -201,8 +219,8 @@ class RegionSolver {
     node.variance = model_.prior.variance(place.theta, place.s) +
                     amplitude * amplitude * (1.0 - known + left_out * left_out) +
                     0.25 * bias * bias;
-    if (model_.has_colors) {
-      node.rgb = blendColors(measured_, index_of_measured_.nearest<kColorNeighbors>(place));
+    if (model_.measured.hasColors()) {
+      node.rgb = blendColors(cells_, index_of_cells_.nearest<kColorNeighbors>(place));
     }
     return node;
   }
@@ -232,7 +250,7 @@ class RegionSolver {
     shape.ellipse = model_.prior.ellipse();
     shape_ = shape;
     std::vector<SurfacePosition> places;
-    for (const GapRegion& gap : findGaps(positions_, range(), model_.density, shape_,
+    for (const GapRegion& gap : findGaps(places_, range(), model_.density, shape_,
                                          model_.prior.meanRadius(), firstRow())) {
       const double count = expectedPoints(gap, model_.density, model_.prior.meanRadius());
       sampleRegion(gap, count, places);
@@ -240,9 +258,15 @@ class RegionSolver {
       if (count < kLeaky * model_.density * gap.area) may_have_holes_ = true;
     }
     filled_.reserve(places.size());
+    CoarseMap::Row row;
+    double row_s = std::numeric_limits<double>::quiet_NaN();
     for (const SurfacePosition& place : places) {
       if (!mayFill(place.s)) continue;
-      const CoarseMap::Node node = map.at(place);
+      if (place.s != row_s) {
+        row_s = place.s;
+        row = map.rowAt(row_s);
+      }
+      const CoarseMap::Node node = row.at(place.theta);
       if (isKnown(node)) {
         filled_.push_back({place, node.deviation, node.variance});
       } else {
@@ -260,7 +284,7 @@ class RegionSolver {
     });
     if (!may_have_holes_ && !has_folds) return;
     const std::vector<GapRegion> defects =
-        findDefects(positions_, filled_, most_deviation, range(), model_.density, shape_,
+        findDefects(places_, filled_, most_deviation, range(), model_.density, shape_,
                     model_.prior.meanRadius(), firstRow());
     if (defects.empty()) return;
     std::vector<CompletedPoint> all = filled_;
@@ -281,80 +305,58 @@ class RegionSolver {
     filled_.insert(filled_.end(), repaired.begin(), repaired.end());
   }
 
-  /// Step 6, bilateral filter (Eq 25). What was filled in lies on a smooth surface already; of its
-  /// points a part stands for all.
-  void smooth() {
-    keepMeasured();
-    if (!(model_.smoothing > 0.0) || own_.empty()) return;
-    constexpr std::size_t kMostFilled = 256;
-    constexpr std::uint32_t kFilled = ~0U;
-    struct Entry {
-      FilterPoint point;
-      std::uint32_t rank;  // of a measured point
-    };
-    std::vector<Entry> entries;
-    for (std::size_t i = 0; i < measured_.size(); ++i) {
-      FilterPoint point;
-      point.position = positions_[i];
-      point.deviation = measured_[i]->deviation;
-      if (model_.has_colors) point.color = rgbOf(measured_[i]->color) / 255.0F;
-      entries.push_back({point, measured_[i]->rank});
-    }
-    if (!model_.has_colors) {  // what is filled in has no colour of its own
-      const std::size_t stride = 1U + filled_.size() / kMostFilled;
-      for (std::size_t i = 0; i < filled_.size(); i += stride) {
-        FilterPoint point;
-        point.position = filled_[i].position;
-        point.deviation = filled_[i].deviation;
-        point.weight = static_cast<double>(stride);
-        entries.push_back({point, kFilled});
-      }
-    }
-    std::sort(entries.begin(), entries.end(), [](const Entry& a, const Entry& b) {
-      return std::make_tuple(a.point.position.s, a.point.position.theta, a.rank) <
-             std::make_tuple(b.point.position.s, b.point.position.theta, b.rank);
-    });
+  /// Step 6, bilateral filter (Eq 25).
+  void smooth(const CoarseMap& map) {
+    if (!(model_.smoothing > 0.0) || cells_.empty()) return;
+    const MeasuredSurface& measured = model_.measured;
+    const bool by_color = measured.hasColors();
     std::vector<FilterPoint> points;
-    std::vector<std::uint32_t> wanted;
-    std::vector<std::uint32_t> ranks;  // of the wanted points
-    for (const Entry& entry : entries) {
-      const double s = entry.point.position.s;
-      if (entry.rank != kFilled && s >= begin_ && s < end_) {
-        wanted.push_back(static_cast<std::uint32_t>(points.size()));
-        ranks.push_back(entry.rank);
-      }
-      points.push_back(entry.point);
+    for (const MeasuredSurface::Cell* cell : cells_) {
+      points.push_back({{cell->position.theta, cell->position.s - begin_},
+                        cell->deviation,
+                        cell->weight,
+                        by_color ? Eigen::Vector3f(cell->rgb / kMostOfAColor)
+                                 : Eigen::Vector3f(Eigen::Vector3f::Zero())});
     }
+    const FilterGrid grid{measured.rowHeight(),
+                          static_cast<int>(kSlicesPerRegion) * measured.rowsPerSlice(),
+                          measured.columns()};
+    if (!by_color) addFilled(map, grid, points);  // it has no colour of its own
     FilterOptions options;
     options.sigma_space = model_.smoothing;
-    options.attribute = model_.has_colors ? FilterAttribute::kColor : FilterAttribute::kNormal;
-    options.sigma_attribute = model_.has_colors ? kSigmaColor : kSigmaNormal;
-    const std::vector<double> deviations =
-        filterDeviations(points, wanted, model_.prior.meanRadius(), options);
-    std::vector<std::pair<std::uint32_t, std::size_t>> place_of;  // rank, place in smoothed
-    for (std::size_t k = 0; k < own_.size(); ++k) {
-      place_of.emplace_back(model_.points[own_[k]].rank, k);
-    }
-    std::sort(place_of.begin(), place_of.end());
-    for (std::size_t k = 0; k < wanted.size(); ++k) {
-      const auto at = std::lower_bound(place_of.begin(), place_of.end(),
-                                       std::make_pair(ranks[k], std::size_t{0}));
-      const FilterPoint& point = points[wanted[k]];
-      const Eigen::Vector3d normal = normalOf(at->second, point.position);
-      region_.smoothed[at->second] +=
-          ((deviations[k] - point.deviation - model_.prior.noiseBias(point.position.s)) * normal)
-              .cast<float>();
-    }
+    options.attribute = by_color ? FilterAttribute::kColor : FilterAttribute::kNormal;
+    options.sigma_attribute = by_color ? kSigmaColor : kSigmaNormal;
+    region_.filter = BilateralFilter(points, grid, model_.prior.meanRadius(), options);
+    region_.is_smoothed = true;
   }
 
-  /// Of the stem where one of the region's measured points is: away from the axis.
-  Eigen::Vector3d normalOf(std::size_t own, const SurfacePosition& place) const {
-    const StemFrame::Frame frame = model_.prior.frame().at(place.s);
-    return (model_.points[own_[own]].point.cast<double>() - frame.position).normalized();
-  }
-
-  void keepMeasured() {
-    for (const std::uint32_t i : own_) region_.smoothed.push_back(model_.points[i].point);
+  /// What was filled into each cell of the grid, as one point: it lies on a smooth surface.
+  void addFilled(const CoarseMap& map, const FilterGrid& grid,
+                 std::vector<FilterPoint>& points) const {
+    const double turn_a_column = 2.0 * kPi / grid.columns;
+    std::vector<double> counts(static_cast<std::size_t>(grid.rows * grid.columns), 0.0);
+    for (const CompletedPoint& point : filled_) {
+      const double turn = (point.position.theta + kPi) / (2.0 * kPi);
+      const auto column = static_cast<int>((turn - std::floor(turn)) * grid.columns);
+      const auto row = static_cast<int>((point.position.s - begin_) / grid.row_height);
+      if (row < 0 || row >= grid.rows || column >= grid.columns) continue;
+      counts[static_cast<std::size_t>(row * grid.columns + column)] += 1.0;
+    }
+    for (int row = 0; row < grid.rows; ++row) {
+      const double s = (row + 0.5) * grid.row_height;
+      const CoarseMap::Row deviations = map.rowAt(begin_ + s);
+      for (int column = 0; column < grid.columns; ++column) {
+        const double count = counts[static_cast<std::size_t>(row * grid.columns + column)];
+        if (!(count > 0.0)) continue;
+        const double theta = (column + 0.5) * turn_a_column - kPi;
+        FilterPoint point;
+        point.position = {theta, s};
+        point.deviation = deviations.at(theta).deviation;
+        point.is_read = false;
+        point.weight = count;
+        points.push_back(point);
+      }
+    }
   }
 
   void finish(const CoarseMap& map) {
@@ -385,20 +387,19 @@ class RegionSolver {
       if (near_soil && model_.ground.heightAbove(position) < 0.0F) continue;
       region_.points.push_back(position);
       region_.stddev.push_back(std::sqrt(static_cast<float>(point.variance)));
-      if (model_.has_colors) region_.colors.push_back(packed(map.at(place).rgb));
+      if (model_.measured.hasColors()) region_.colors.push_back(packed(map.at(place).rgb));
     }
   }
 
   const StemModel& model_;
-  const std::vector<std::uint32_t>& own_;
   double begin_;
   double end_;
   long index_;
   StemShape shape_;
-  std::vector<const StemPoint*> measured_;
-  std::vector<SurfacePosition> positions_;
+  std::vector<const MeasuredSurface::Cell*> cells_;
+  std::vector<SurfacePosition> places_;
   std::vector<SurfaceSample> samples_;
-  SurfaceIndex index_of_measured_;
+  SurfaceIndex index_of_cells_;
   std::vector<CompletedPoint> filled_;
   bool may_have_holes_ = false;
   StemRegion region_;
@@ -406,39 +407,18 @@ class RegionSolver {
 
 }  // namespace
 
-std::vector<std::uint32_t> regionPoints(const StemModel& model, long index) {
-  const double begin = regionBegin(model.prior, index);
-  const auto [first, last] = pointsBetween(model, begin, begin + kRegionLength);
-  std::vector<std::uint32_t> own;
-  for (auto p = first; p != last; ++p) {
-    own.push_back(static_cast<std::uint32_t>(p - model.points.begin()));
-  }
-  std::sort(own.begin(), own.end(), [&](std::uint32_t a, std::uint32_t b) {
-    const StemPoint& p = model.points[a];
-    const StemPoint& q = model.points[b];
-    return std::make_tuple(p.point.z(), p.point.x(), p.point.y(), p.rank) <
-           std::make_tuple(q.point.z(), q.point.x(), q.point.y(), q.rank);
-  });
-  return own;
-}
-
 long regionAt(const SurfacePrior& prior, double s) {
-  return std::lround(std::floor((prior.begin() + s) / kRegionLength));
+  const long slice = sliceAt(prior, s);
+  return (slice - (slice % kSlicesPerRegion + kSlicesPerRegion) % kSlicesPerRegion) /
+         kSlicesPerRegion;
 }
 
 double regionBegin(const SurfacePrior& prior, long index) {
-  return kRegionLength * static_cast<double>(index) - prior.begin();
+  return sliceBegin(prior, kSlicesPerRegion * index);
 }
 
-std::pair<std::vector<StemPoint>::const_iterator, std::vector<StemPoint>::const_iterator>
-pointsBetween(const StemModel& model, double begin, double end) {
-  const auto before = [](const StemPoint& p, double s) { return p.unrolled.s < s; };
-  const auto first = std::lower_bound(model.points.begin(), model.points.end(), begin, before);
-  return {first, std::lower_bound(first, model.points.end(), end, before)};
-}
-
-StemRegion solveRegion(const StemModel& model, long index, const std::vector<std::uint32_t>& own) {
-  return RegionSolver(model, index, own).solve();
+StemRegion solveRegion(const StemModel& model, long index) {
+  return RegionSolver(model, index).solve();
 }
 
 }  // namespace field_phenotyping

@@ -850,6 +850,14 @@ double SurfacePrior::noiseBias(double s) const {
   return noise_ * NoiseEffect::at(radius / noise_).radius_bias;
 }
 
+SurfacePrior::Residual SurfacePrior::residual(const UnrolledPoint& point) const {
+  const Layout layout{intervals_, interval_length_};
+  const Place place = layout.place(point.theta, point.s);
+  const double radius = Layout::meanRadius(coefficients_, place);
+  const double bias = noise_ * NoiseEffect::at(radius / noise_).radius_bias;
+  return {point.r - layout.surfaceRadius(coefficients_, place) - bias, bias};
+}
+
 double SurfacePrior::variance(double theta, double s) const {
   const Layout layout{intervals_, interval_length_};
   const Place place = layout.place(theta, s);

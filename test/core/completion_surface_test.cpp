@@ -9,6 +9,7 @@
 #include "field_phenotyping/completion/bilateral_filter.hpp"
 #include "field_phenotyping/completion/envelope_cholesky.hpp"
 #include "field_phenotyping/completion/gap_sampling.hpp"
+#include "field_phenotyping/completion/measured_surface.hpp"
 #include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/stem_frame.hpp"
 #include "field_phenotyping/completion/surface_index.hpp"
@@ -341,10 +342,13 @@ std::vector<FilterPoint> bumpySurface(double shift) {
   return points;
 }
 
+constexpr FilterGrid kFilterGrid{0.002, 15, 31};
+
 TEST(CompletionFilter, DoesNotShrinkAThinCylinder) {
   const std::vector<FilterPoint> points = bumpySurface(0.0004);
-  for (const double deviation : filterDeviations(points, {0U, 500U, 1200U}, kRadius, {})) {
-    EXPECT_NEAR(deviation, 0.0004, 1e-9);
+  const BilateralFilter filter(points, kFilterGrid, kRadius, {});
+  for (const FilterPoint& point : points) {
+    EXPECT_NEAR(filter.at(point.position, point.color), 0.0004, 1e-9);
   }
 }
 
@@ -352,29 +356,102 @@ TEST(CompletionFilter, EvensOutNoiseAndKeepsAColourEdge) {
   std::vector<FilterPoint> points = bumpySurface(0.0);
   std::mt19937 random(5);
   std::normal_distribution<double> noise(0.0, 0.001);
-  std::vector<std::uint32_t> wanted;
-  for (std::uint32_t i = 0; i < points.size(); ++i) {
-    FilterPoint& point = points[i];
+  for (FilterPoint& point : points) {
     const bool upper = point.position.s > 0.015;
     point.deviation = (upper ? 0.002 : 0.0) + noise(random);
     point.color = upper ? Eigen::Vector3f(0.1F, 0.8F, 0.1F) : Eigen::Vector3f(0.5F, 0.3F, 0.1F);
-    wanted.push_back(i);
   }
   FilterOptions by_color;
   by_color.attribute = FilterAttribute::kColor;
   by_color.sigma_attribute = 0.1;
-  const std::vector<double> kept = filterDeviations(points, wanted, kRadius, by_color);
-  const std::vector<double> blurred = filterDeviations(points, wanted, kRadius, {});
+  const BilateralFilter kept(points, kFilterGrid, kRadius, by_color);
+  const BilateralFilter blurred(points, kFilterGrid, kRadius, {});
   double error = 0.0, blurred_at_edge = 0.0, kept_at_edge = 0.0;
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    const double truth = points[i].position.s > 0.015 ? 0.002 : 0.0;
-    error += std::pow(kept[i] - truth, 2) / static_cast<double>(points.size());
-    if (std::abs(points[i].position.s - 0.015) > 0.0015) continue;
-    kept_at_edge = std::max(kept_at_edge, std::abs(kept[i] - truth));
-    blurred_at_edge = std::max(blurred_at_edge, std::abs(blurred[i] - truth));
+  for (const FilterPoint& point : points) {
+    const double truth = point.position.s > 0.015 ? 0.002 : 0.0;
+    const double by_edge = kept.at(point.position, point.color);
+    error += std::pow(by_edge - truth, 2) / static_cast<double>(points.size());
+    if (std::abs(point.position.s - 0.015) > 0.0015) continue;
+    kept_at_edge = std::max(kept_at_edge, std::abs(by_edge - truth));
+    blurred_at_edge =
+        std::max(blurred_at_edge, std::abs(blurred.at(point.position, point.color) - truth));
   }
   EXPECT_LT(std::sqrt(error), 0.0004);
   EXPECT_LT(kept_at_edge, 0.5 * blurred_at_edge + 0.0004);
+}
+
+TEST(CompletionFilter, AgreesWithTheSumOverAllPairs) {
+  std::vector<FilterPoint> points;
+  std::mt19937 random(6);
+  std::normal_distribution<double> noise(0.0, 0.001);
+  for (const SurfacePosition& p : randomPositions(6000, 4)) {
+    FilterPoint point;
+    point.position = {p.theta, 0.03 * p.s};
+    point.deviation = 0.001 * std::sin(3.0 * p.theta) + noise(random);
+    point.is_read = points.size() % 20U == 0U;
+    points.push_back(point);
+  }
+  const FilterOptions options;
+  const BilateralFilter filter(points, kFilterGrid, kRadius, options);
+  double squares = 0.0, spread = 0.0, count = 0.0;
+  for (const FilterPoint& p : points) {
+    if (!p.is_read) continue;
+    double sum = 0.0, total = 0.0;
+    for (const FilterPoint& q : points) {
+      const double turn = std::remainder(q.position.theta - p.position.theta, 2.0 * kPi);
+      const double squared = std::pow(q.position.s - p.position.s, 2) + std::pow(kRadius * turn, 2);
+      const double chord = 2.0 * std::sin(0.5 * turn);
+      const double weight = std::exp(-0.5 * squared / std::pow(options.sigma_space, 2) -
+                                     0.5 * std::pow(chord / options.sigma_attribute, 2));
+      sum += weight * q.deviation;
+      total += weight;
+    }
+    squares += std::pow(filter.at(p.position, p.color) - sum / total, 2);
+    spread += std::pow(sum / total, 2);
+    count += 1.0;
+  }
+  EXPECT_GT(count, 200.0);
+  EXPECT_LT(std::sqrt(squares / count), 0.1 * std::sqrt(spread / count));
+}
+
+TEST(CompletionSurface, CellsKeepEveryPointWhateverTheirNumber) {
+  const StemAxis axis({{{0.0F, 0.0F, 0.0F}, 0.012F}, {{0.0F, 0.0F, 1.0F}, 0.012F}});
+  for (const std::size_t count : {2000U, 60000U}) {
+    std::mt19937 random(7);
+    std::normal_distribution<double> noise(0.0, 0.001);
+    PointCloud cloud;
+    std::vector<Vector3d> points;
+    for (const SurfacePosition& p : randomPositions(count, 5)) {
+      const double r = kRadius + noise(random);
+      points.emplace_back(r * std::cos(p.theta), r * std::sin(p.theta), p.s);
+      cloud.points.push_back(points.back().cast<float>());
+    }
+    const auto prior = SurfacePrior::fit(points, axis, 0.0);
+    ASSERT_TRUE(prior);
+    const IndexSpan all{0U, static_cast<std::uint32_t>(count)};
+    const MeasuredSurface measured(cloud, all, *prior, 0.003);
+    double weight = 0.0;
+    for (const MeasuredSurface::Cell& cell : measured.cells()) weight += cell.weight;
+    double expected = 0.0;
+    for (const Vector3d& point : points) {
+      const double deviation = prior->residual(prior->frame().unroll(point)).deviation;
+      if (prior->robustWeight(deviation) >= 0.1) expected += prior->robustWeight(deviation);
+    }
+    EXPECT_NEAR(weight, expected, 1e-3 * expected);
+    const double most_cells = 1.1 * 2.0 * kPi * kRadius / 0.003 * prior->frame().length() / 0.003;
+    EXPECT_LT(static_cast<double>(measured.cells().size()), most_cells);
+    EXPECT_EQ(measured.places().size(), measured.size());
+    std::size_t in_slices = 0U;
+    for (long k = sliceAt(*prior, -1.0); k <= sliceAt(*prior, 2.0); ++k) {
+      in_slices += measured.slice(k).points;
+      const auto [first, last] = measured.placesOf(k, k + 1);
+      EXPECT_EQ(last - first, measured.slice(k).on_surface);
+      for (std::size_t i = first; i < last; ++i) {
+        EXPECT_EQ(sliceAt(*prior, measured.places()[i].s), k);
+      }
+    }
+    EXPECT_EQ(in_slices, count);
+  }
 }
 
 TEST(CompletionRepair, FindsAHoleAndClosesItOnTheSurface) {

@@ -39,6 +39,12 @@ class SurfacePrior {
   /// How far noise moves points outwards on average: about sigma^2 / 2R, across a curved
   /// surface [m].
   double noiseBias(double s) const;
+  /// How far a point lies beyond the surface, the noise bias taken off, and that bias.
+  struct Residual {
+    double deviation = 0.0;   ///< [m]
+    double noise_bias = 0.0;  ///< [m]
+  };
+  Residual residual(const UnrolledPoint& point) const;
   /// Variance of the prior surface, along the radius [m^2].
   double variance(double theta, double s) const;
 
