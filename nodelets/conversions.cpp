@@ -7,17 +7,14 @@
 #include <cmath>
 #include <cstdio>
 #include <cstring>
-#include <limits>
-#include <sstream>
+
+#include "cloud_decoder.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 using sensor_msgs::PointCloud2;
 using sensor_msgs::PointField;
-
-// Beyond this distance from the frame's origin a cloud gets a local origin of its own [m].
-constexpr double kFarFromOrigin = 500.0;
 
 constexpr std::uint32_t kGrey = 0x969696U;
 constexpr std::uint32_t kDarkGrey = 0x5a5a5aU;
@@ -37,114 +34,6 @@ static_assert(std::uint32_t{PlantPhenotype::OK} == kOk &&
                   std::uint32_t{PlantPhenotype::PRIOR_DRIVEN} == kPriorDriven &&
                   std::uint32_t{PlantPhenotype::MERGED_SUSPECT} == kMergedSuspect,
               "the constants of PlantPhenotype.msg must equal QualityFlag");
-
-bool hostIsBigEndian() {
-  const std::uint16_t one = 1U;
-  std::uint8_t first = 0U;
-  std::memcpy(&first, &one, 1U);
-  return first == 0U;
-}
-
-template <class Value>
-Value load(const std::uint8_t* bytes, bool swap) {
-  std::array<std::uint8_t, sizeof(Value)> raw;
-  std::copy_n(bytes, sizeof(Value), raw.begin());
-  if (swap) std::reverse(raw.begin(), raw.end());
-  Value value;
-  std::memcpy(&value, raw.data(), sizeof(Value));
-  return value;
-}
-
-std::string typeName(std::uint8_t datatype) {
-  static const std::array<const char*, 9> names = {
-      "type 0", "INT8", "UINT8", "INT16", "UINT16", "INT32", "UINT32", "FLOAT32", "FLOAT64"};
-  return datatype < names.size() ? names[datatype] : "type " + std::to_string(datatype);
-}
-
-std::string fieldList(const PointCloud2& message) {
-  if (message.fields.empty()) return "none";
-  std::string list;
-  for (const PointField& field : message.fields) {
-    list += (list.empty() ? "" : ", ") + field.name + " (" + typeName(field.datatype) + ")";
-  }
-  return list;
-}
-
-const PointField* findField(const PointCloud2& message, const std::string& name) {
-  for (const PointField& field : message.fields) {
-    if (field.name == name) return &field;
-  }
-  return nullptr;
-}
-
-std::size_t sizeOf(const PointField& field) {
-  return field.datatype == PointField::FLOAT64 ? 8U : 4U;
-}
-
-void requireInsidePoint(const PointField& field, const PointCloud2& message) {
-  if (std::uint64_t{field.offset} + sizeOf(field) <= message.point_step) return;
-  std::ostringstream what;
-  what << "field " << field.name << " at offset " << field.offset << " reaches beyond the "
-       << message.point_step << " bytes of a point; the driver that made the cloud is at fault";
-  throw CloudFormatError(what.str());
-}
-
-const PointField& coordinateField(const PointCloud2& message, const char* name) {
-  const PointField* field = findField(message, name);
-  if (field == nullptr) {
-    throw CloudFormatError("the cloud has no field '" + std::string(name) +
-                           "', only: " + fieldList(message) + "; x, y and z are needed");
-  }
-  if (field->datatype != PointField::FLOAT32 && field->datatype != PointField::FLOAT64) {
-    throw CloudFormatError("field '" + std::string(name) + "' is " + typeName(field->datatype) +
-                           "; FLOAT32 or FLOAT64 is needed");
-  }
-  requireInsidePoint(*field, message);
-  return *field;
-}
-
-/// The packed colour, if the cloud has one that can be read.
-const PointField* colorField(const PointCloud2& message) {
-  for (const char* name : {"rgb", "rgba"}) {
-    const PointField* field = findField(message, name);
-    const bool packed = field != nullptr && (field->datatype == PointField::FLOAT32 ||
-                                             field->datatype == PointField::UINT32 ||
-                                             field->datatype == PointField::INT32);
-    if (!packed) continue;
-    requireInsidePoint(*field, message);
-    return field;
-  }
-  return nullptr;
-}
-
-/// Bytes from one row to the next.
-std::uint64_t checkedRowStep(const PointCloud2& message) {
-  const std::uint64_t row = std::uint64_t{message.width} * message.point_step;
-  // Many drivers leave row_step unset where there is only one row.
-  const std::uint64_t step = message.height <= 1U ? row : message.row_step;
-  if (step < row) {
-    std::ostringstream what;
-    what << "row_step is " << step << " bytes, but a row of " << message.width << " points of "
-         << message.point_step << " bytes needs " << row
-         << "; the driver that made the cloud is at fault";
-    throw CloudFormatError(what.str());
-  }
-  const std::uint64_t needed =
-      message.height == 0U || row == 0U ? 0U : step * (message.height - 1U) + row;
-  if (message.data.size() < needed) {
-    std::ostringstream what;
-    what << "the cloud holds " << message.data.size() << " bytes, but " << message.width << " x "
-         << message.height << " points need " << needed << "; it was cut short";
-    throw CloudFormatError(what.str());
-  }
-  return step;
-}
-
-/// Origin near the cloud, on whole metres, or zero where the frame's own is near enough.
-Eigen::Vector3d originNear(const Eigen::Vector3d& point) {
-  if (point.cwiseAbs().maxCoeff() < kFarFromOrigin) return Eigen::Vector3d::Zero();
-  return point.array().round();
-}
 
 std::string formatted(const char* format, double value) {
   std::array<char, 32> text{};
@@ -189,56 +78,6 @@ Eigen::Vector3d topOf(const Phenotype& plant) {
 }
 
 }  // namespace
-
-Scan toScan(const PointCloud2& message) {
-  const std::array<const PointField*, 3> axes = {&coordinateField(message, "x"),
-                                                 &coordinateField(message, "y"),
-                                                 &coordinateField(message, "z")};
-  const PointField* color = colorField(message);
-  const std::uint64_t row_step = checkedRowStep(message);
-  const bool swap = (message.is_bigendian != 0U) != hostIsBigEndian();
-
-  Scan scan;
-  scan.stamp_ns = message.header.stamp.toNSec();
-  const std::size_t count = std::size_t{message.width} * message.height;
-  scan.cloud.points.reserve(count);
-  if (color != nullptr) scan.cloud.colors.reserve(count);
-
-  bool origin_known = false;
-  for (std::uint32_t row = 0; row < message.height; ++row) {
-    const std::uint8_t* point = message.data.data() + row * row_step;
-    for (std::uint32_t column = 0; column < message.width; ++column, point += message.point_step) {
-      Eigen::Vector3d p;
-      for (int i = 0; i < 3; ++i) {
-        const PointField& field = *axes[static_cast<std::size_t>(i)];
-        p[i] = field.datatype == PointField::FLOAT32
-                   ? static_cast<double>(load<float>(point + field.offset, swap))
-                   : load<double>(point + field.offset, swap);
-      }
-      if (!origin_known && p.allFinite()) {
-        scan.cloud.origin = originNear(p);
-        origin_known = true;
-      }
-      scan.cloud.points.push_back((p - scan.cloud.origin).cast<float>());
-      if (color != nullptr) {
-        scan.cloud.colors.push_back(load<std::uint32_t>(point + color->offset, swap) & 0xffffffU);
-      }
-    }
-  }
-  return scan;
-}
-
-double coordinateResolution(const PointCloud2& message, const Scan& scan) {
-  const auto far = static_cast<float>(scan.cloud.origin.cwiseAbs().maxCoeff());
-  double coarsest = 0.0;
-  for (const char* name : {"x", "y", "z"}) {
-    const PointField* field = findField(message, name);
-    if (field == nullptr || field->datatype != PointField::FLOAT32) continue;
-    const float step = std::nextafter(far, std::numeric_limits<float>::infinity()) - far;
-    coarsest = std::max(coarsest, static_cast<double>(step));
-  }
-  return coarsest;
-}
 
 PlantPhenotype toMessage(const Phenotype& plant) {
   PlantPhenotype message;

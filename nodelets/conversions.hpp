@@ -8,34 +8,17 @@
 #include <boost/shared_ptr.hpp>
 #include <cstdint>
 #include <memory>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
-#include "field_phenotyping/preprocessing/preprocessor.hpp"
 #include "field_phenotyping/segmentation/segmented_block.hpp"
 
-// Everything between ROS messages and the core's values.
+// Everything between ROS messages and the core's values, but for clouds that come in.
 
 namespace field_phenotyping {
-
-/// A PointCloud2 that cannot be read; what() names the cause and what was found instead.
-class CloudFormatError : public std::runtime_error {
- public:
-  using std::runtime_error::runtime_error;
-};
-
-/// Reads `x y z` (FLOAT32 or FLOAT64, any order, padding, byte order, organised or not) and, where
-/// there is one, the colour in `rgb` or `rgba`. All points are kept in their order, non-finite ones
-/// too. A cloud far from its frame's origin gets a local origin near its first finite point.
-/// @throws CloudFormatError when a coordinate is missing or the layout does not fit the data
-Scan toScan(const sensor_msgs::PointCloud2& message);
-
-/// Smallest step [m] that the coordinates of the cloud can resolve, by their type and magnitude.
-double coordinateResolution(const sensor_msgs::PointCloud2& message, const Scan& scan);
 
 /// The array that replaces what earlier revisions of the block said.
 PlantPhenotypeArray toMessage(const std::vector<Phenotype>& plants, const BlockHeader& header);

@@ -10,6 +10,7 @@
 #include <set>
 #include <sstream>
 
+#include "cloud_decoder.hpp"
 #include "conversions.hpp"
 
 namespace field_phenotyping {
@@ -159,15 +160,19 @@ void PreprocessingStage::addScans() {
 
 /// @return false when the scan should stay in the queue and be tried again
 bool PreprocessingStage::addScan(const WaitingScan& waiting) {
-  bool try_again = false;
-  const auto T_target_sensor = findTransform(waiting, try_again);
-  if (try_again) return false;
-  if (!T_target_sensor) return true;
+  // Whatever is wrong with a scan, it must not stay at the queue's head.
   try {
-    place(waiting.message, *T_target_sensor);
+    requireValidStamp(*waiting.message);
+    bool try_again = false;
+    const auto T_target_sensor = findTransform(waiting, try_again);
+    if (T_target_sensor) place(waiting.message, *T_target_sensor);
+    return !try_again;
   } catch (const CloudFormatError& error) {
     health_.count("scans dropped: unreadable");
     health_.trouble("unreadable", std::string("a scan was dropped: ") + error.what());
+  } catch (const std::exception& error) {
+    health_.count("scans dropped: failed");
+    health_.trouble("failed scan", std::string("a scan was given up: ") + error.what());
   }
   return true;
 }
@@ -177,6 +182,11 @@ std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const Waiting
   const std_msgs::Header& header = waiting.message->header;
   if (isRegistered(*waiting.message)) return Eigen::Isometry3d::Identity();
   const std::string frame = withoutSlash(header.frame_id);
+  // tf2 would take a stamp of zero for "the newest", which is where the rover is by now.
+  if (header.stamp.isZero() && !frame.empty()) {
+    throw CloudFormatError("its stamp is zero and it is not in '" + target_frame_ +
+                           "': when it was taken, and so from where, is not known");
+  }
   std::string reason = "its frame_id is empty";
   if (!frame.empty() && tf_buffer_.canTransform(target_frame_, frame, header.stamp, &reason)) {
     return tf2::transformToEigen(tf_buffer_.lookupTransform(target_frame_, frame, header.stamp));

@@ -28,7 +28,8 @@ void StageHealth::received(const ros::Time& stamp) {
   arrivals_.push_back(last_arrival_);
   while (last_arrival_ - arrivals_.front() > kRateWindow) arrivals_.pop_front();
   ++received_;
-  age_ = stamp.isZero() ? 0.0 : (now - stamp).toSec();
+  // Not (now - stamp): it throws where the stamp is nonsense.
+  age_ = stamp.isZero() ? 0.0 : now.toSec() - stamp.toSec();
 }
 
 void StageHealth::finished(double seconds) {

@@ -59,8 +59,8 @@ struct Preprocessor::Impl {
     has_datum = false;
   }
 
-  bool inRange(const Eigen::Vector3f& point) const {
-    const double range = point.norm();
+  bool inRange(const Eigen::Vector3d& from_sensor) const {
+    const double range = from_sensor.norm();
     return range >= parameters.min_range && range <= parameters.max_range;
   }
 
@@ -194,9 +194,10 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
       ++report.non_finite;
       continue;
     }
-    const Eigen::Vector3d p = T_map_sensor * scan.cloud.mapPoint(i);
+    const Eigen::Vector3d from_sensor = scan.cloud.mapPoint(i);
+    const Eigen::Vector3d p = T_map_sensor * from_sensor;
     const std::uint32_t color = scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U;
-    if (!impl_->inRange(scan.cloud.points[i]) || !impl_->inCropBox(p) ||
+    if (!impl_->inRange(from_sensor) || !impl_->inCropBox(p) ||
         !impl_->insert(p, scan.cloud.hasColors(), color)) {
       ++report.out_of_range;
       continue;

@@ -182,6 +182,19 @@ TEST(Preprocessor, FarFromTheOriginAsAtIt) {
   }
 }
 
+TEST(Preprocessor, TakesRangesFromTheSensorWhereverTheCloudsOriginIs) {
+  PreprocessingParameters parameters;
+  parameters.max_range = 10.0;
+  Preprocessor preprocessor(parameters, "map");
+  Scan scan;
+  scan.stamp_ns = kStart;
+  scan.cloud.origin = {600.0, 0.0, 0.0};
+  scan.cloud.points = {{1.0F, 0.0F, 0.0F}, {-595.0F, 0.0F, 0.0F}};
+  const ScanReport report = preprocessor.addScan(scan, kIdentity);
+  EXPECT_EQ(report.out_of_range, 1U);
+  EXPECT_EQ(report.used, 1U);
+}
+
 TEST(Preprocessor, EveryPointIsAccountedFor) {
   PreprocessingParameters parameters;
   parameters.min_range = 0.5;

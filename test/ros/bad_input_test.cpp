@@ -66,6 +66,25 @@ TEST_F(BadInput, InAnUnknownFrameIsNamed) {
   expectTrouble(goodCloud("nowhere"), "no transform from 'nowhere' to 'map'");
 }
 
+TEST_F(BadInput, WithABrokenStampIsNamed) {
+  auto cloud = goodCloud("map");
+  cloud.header.stamp.nsec = 2000000000U;
+  expectTrouble(cloud, "its stamp is");
+  cloud = goodCloud("lidar");
+  cloud.header.stamp = ros::Time();
+  expectTrouble(cloud, "its stamp is zero");
+}
+
+// A stamp so late that a second more is too much for ros::Time.
+TEST_F(BadInput, AtTheEndOfTimeDoesNotBlockTheQueue) {
+  auto cloud = goodCloud("map");
+  cloud.header.stamp = ros::Time(0xffffffffU, 0U);
+  client_->publish(cloud);
+  cloud = goodCloud("map");
+  cloud.fields[0].name = "after the end of time";
+  expectTrouble(cloud, "after the end of time");
+}
+
 // Last: after all of the above a whole cloud must still be measured.
 TEST_F(BadInput, LeavesTheNodeletsAlive) {
   client_->publish(goodCloud("map"));
