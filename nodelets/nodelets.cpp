@@ -4,6 +4,7 @@
 #include <memory>
 #include <pluginlib/class_list_macros.hpp>
 
+#include "bag_player.hpp"
 #include "completion_stage.hpp"
 #include "measurement_stage.hpp"
 #include "preprocessing_stage.hpp"
@@ -11,7 +12,7 @@
 
 namespace field_phenotyping {
 
-/// A stage as a nodelet.
+/// A stage, or what plays to them, as a nodelet.
 template <class Stage>
 class StageNodelet : public nodelet::Nodelet {
  private:
@@ -27,6 +28,7 @@ class StageNodelet : public nodelet::Nodelet {
   std::unique_ptr<Stage> stage_;
 };
 
+using BagPlayerNodelet = StageNodelet<BagPlayer>;
 using PreprocessingNodelet = StageNodelet<PreprocessingStage>;
 using SegmentationNodelet = StageNodelet<SegmentationStage>;
 using CompletionNodelet = StageNodelet<CompletionStage>;
@@ -34,6 +36,7 @@ using MeasurementNodelet = StageNodelet<MeasurementStage>;
 
 }  // namespace field_phenotyping
 
+PLUGINLIB_EXPORT_CLASS(field_phenotyping::BagPlayerNodelet, nodelet::Nodelet)
 PLUGINLIB_EXPORT_CLASS(field_phenotyping::PreprocessingNodelet, nodelet::Nodelet)
 PLUGINLIB_EXPORT_CLASS(field_phenotyping::SegmentationNodelet, nodelet::Nodelet)
 PLUGINLIB_EXPORT_CLASS(field_phenotyping::CompletionNodelet, nodelet::Nodelet)

@@ -8,11 +8,13 @@
 #include <functional>
 #include <map>
 #include <set>
+#include <sstream>
 #include <string>
 #include <type_traits>
 #include <variant>
 #include <vector>
 
+#include "field_phenotyping/parameter_names.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "stage_health.hpp"
 
@@ -29,6 +31,17 @@ dynamic_reconfigure::Config toConfigMessage(const Section& section) {
     dynamic_reconfigure::ConfigTools::appendParameter(message, info.name, value);
   });
   return message;
+}
+
+/// "preprocessing" and so on.
+template <class Section>
+std::string sectionName() {
+  std::string result;
+  const Parameters all;
+  Parameters::visitSections(all, [&](const char* name, const auto& section) {
+    if constexpr (std::is_same_v<std::decay_t<decltype(section)>, Section>) result = name;
+  });
+  return result;
 }
 
 template <class Section, class Config>
@@ -49,14 +62,14 @@ void assign(const Section& section, Config& config) {
   config.__fromMessage__(message);
 }
 
-/// What checkParameters() says about this section; empty when all is well.
+/// What checkStages() says about this section; empty when all is well.
 template <class Section>
 std::string violations(const Section& section) {
   Parameters all;
   Parameters::visitSections(all, [&](const char*, auto& other) {
     if constexpr (std::is_same_v<std::decay_t<decltype(other)>, Section>) other = section;
   });
-  return checkParameters(all);
+  return checkStages(all);
 }
 
 /// The nearest valid parameters to `wanted`: one value is put back to what it is in `fallback`
@@ -120,27 +133,47 @@ class ParameterServer {
     std::set<std::string> known = others;
     Section given_values;
     Section::visit(given_values, [&](const ParameterInfo& info, auto& value, auto low, auto high) {
+      using Value = std::decay_t<decltype(value)>;
       known.insert(info.name);
       const std::string name = pnh.resolveName(info.name);
       if (!pnh.hasParam(info.name)) return;
+      const std::string range = rangeText(info, low, high);
+      std::ostringstream text;
       if (!pnh.getParam(info.name, value)) {
-        health_.trouble(name, name + " has the wrong type and is ignored; its default is in force");
-      } else if constexpr (std::is_arithmetic_v<std::decay_t<decltype(value)>>) {
-        if (!(value >= low && value <= high)) {
-          health_.trouble(name, name + " is outside its range, " + std::to_string(low) + " to " +
-                                    std::to_string(high) + " " + info.unit + ": moved into it");
-        }
+        text << name << " is not " << kindText<Value>() << " (" << range
+             << "): ignored, its default is in force";
+      } else if constexpr (std::is_arithmetic_v<Value>) {
+        if (value >= low && value <= high) return;
+        text << name << " is " << value << ", outside " << range << ": moved into it";
       }
+      if (!text.str().empty()) health_.trouble(name, text.str());
     });
     std::vector<std::string> given;
     pnh.getParamNames(given);
-    const std::string prefix = pnh.getNamespace() + "/";
+    const std::string own = pnh.getNamespace();
+    const std::string above = ros::names::parentNamespace(own);
+    const std::string stage = own.substr(own.rfind('/') + 1U);
     for (const std::string& name : given) {
-      if (name.compare(0, prefix.size(), prefix) != 0) continue;
-      const std::string key = name.substr(prefix.size());
-      if (known.count(key) != 0U) continue;
-      health_.trouble(name, name + " is not a parameter of this stage: misspelt?");
+      const std::string key = below(own, name);
+      if (!key.empty() && known.count(key) == 0U) {
+        health_.trouble(name, name + ": " +
+                                  unknownParameter(sectionName<Section>(), key,
+                                                   {others.begin(), others.end()}));
+      }
+      // One that was meant for this stage is seen by none if the stage's name is misspelt.
+      const std::string beside = below(above, name);
+      if (beside.find('/') == std::string::npos) continue;
+      const std::string sibling = beside.substr(0U, beside.find('/'));
+      if (misspeltStage(sibling) == stage) {
+        health_.trouble(name, name + " is read by nobody: " + unknownStage(sibling));
+      }
     }
+  }
+
+  /// The part of `name` that lies below the namespace; empty if it does not.
+  static std::string below(const std::string& name_space, const std::string& name) {
+    const std::string prefix = name_space == "/" ? name_space : name_space + "/";
+    return name.compare(0U, prefix.size(), prefix) == 0 ? name.substr(prefix.size()) : "";
   }
 
   StageHealth& health_;

@@ -2,77 +2,39 @@
 
 #include <yaml-cpp/yaml.h>
 
-#include <algorithm>
-#include <limits>
-#include <numeric>
+#include <set>
 #include <sstream>
 #include <stdexcept>
 #include <type_traits>
 
+#include "field_phenotyping/parameter_names.hpp"
+
 namespace field_phenotyping {
 namespace {
 
-std::size_t editDistance(const std::string& a, const std::string& b) {
-  std::vector<std::size_t> row(b.size() + 1U);
-  std::iota(row.begin(), row.end(), 0U);
-  for (std::size_t i = 1; i <= a.size(); ++i) {
-    std::size_t diagonal = row[0];
-    row[0] = i;
-    for (std::size_t j = 1; j <= b.size(); ++j) {
-      const std::size_t above = row[j];
-      row[j] = std::min({above + 1U, row[j - 1U] + 1U, diagonal + (a[i - 1U] != b[j - 1U])});
-      diagonal = above;
-    }
-  }
-  return row.back();
-}
-
-/// Writes one named value into the section that a visit() walks over.
-struct Assigner {
-  const std::string& name;
-  const YAML::Node& node;
-  bool& found;
-  std::vector<std::string>& names;
-
-  template <class Value, class Low, class High>
-  void operator()(const ParameterInfo& info, Value& value, const Low& /*low*/,
-                  const High& /*high*/) {
-    names.emplace_back(info.name);
-    if (name != info.name) return;
-    value = node.as<Value>();
-    found = true;
-  }
-};
-
-std::string nearest(const std::string& name, const std::vector<std::string>& names) {
-  return *std::min_element(names.begin(), names.end(),
-                           [&](const std::string& a, const std::string& b) {
-                             return editDistance(name, a) < editDistance(name, b);
-                           });
-}
-
 void assign(const std::string& where, const std::string& section, const std::string& name,
             const YAML::Node& node, Parameters& parameters) {
-  std::vector<std::string> sections;
-  std::vector<std::string> names;
+  bool stage_found = false;
   bool found = false;
-  Parameters::visitSections(parameters, [&](const char* stage, auto& values) {
-    sections.emplace_back(stage);
-    if (section != stage) return;
+  const auto assignTo = [&](const ParameterInfo& info, auto& value, auto low, auto high) {
+    if (name != info.name) return;
+    found = true;
+    using Value = std::decay_t<decltype(value)>;
     try {
-      std::decay_t<decltype(values)>::visit(values, Assigner{name, node, found, names});
+      value = node.as<Value>();
     } catch (const YAML::Exception&) {
       throw std::runtime_error(where + ": " + section + "/" + name + ": '" + YAML::Dump(node) +
-                               "' is not a value of its type");
+                               "' is not " + kindText<Value>() + " (" + rangeText(info, low, high) +
+                               ")");
     }
+  };
+  Parameters::visitSections(parameters, [&](const char* stage, auto& values) {
+    if (section != stage) return;
+    stage_found = true;
+    std::decay_t<decltype(values)>::visit(values, assignTo);
   });
-  if (found) return;
-  if (names.empty()) {
-    throw std::runtime_error(where + ": there is no stage '" + section + "'; did you mean '" +
-                             nearest(section, sections) + "'?");
-  }
-  throw std::runtime_error(where + ": there is no parameter '" + section + "/" + name +
-                           "'; did you mean '" + nearest(name, names) + "'?");
+  if (!stage_found) throw std::runtime_error(where + ": " + unknownStage(section));
+  if (!found) throw std::runtime_error(where + ": " + unknownParameter(section, name));
 }
 
 void requireValid(const std::string& where, const Parameters& parameters) {
@@ -92,12 +54,16 @@ void readConfigFile(const std::string& path, Parameters& parameters) {
   if (root.IsNull()) return;
   const std::string form = path + ": expected 'stage: {parameter: value}'";
   if (!root.IsMap()) throw std::runtime_error(form);
+  std::set<std::string> given;
   for (const auto& section : root) {
     if (!section.first.IsScalar() || !section.second.IsMap()) throw std::runtime_error(form);
     for (const auto& entry : section.second) {
       if (!entry.first.IsScalar()) throw std::runtime_error(form);
-      assign(path, section.first.as<std::string>(), entry.first.as<std::string>(), entry.second,
-             parameters);
+      const auto stage = section.first.as<std::string>();
+      const auto name = entry.first.as<std::string>();
+      assign(path, stage, name, entry.second, parameters);
+      if (given.insert(stage + "/" + name).second) continue;
+      throw std::runtime_error(path + ": " + stage + "/" + name + " is given twice");
     }
   }
   requireValid(path, parameters);

@@ -319,8 +319,11 @@ struct Parameters {
   }
 };
 
-/// Every violated range or cross-check as one line each ("segmentation/M: 1.3 is above 1"); empty
-/// when all is well.
+/// Every violated range or cross-check within a stage, one a line ("segmentation/M: 1.3 is outside
+/// 0.01 ... 1"); empty when all is well. For whoever knows the parameters of one stage only.
+std::string checkStages(const Parameters& parameters);
+
+/// The same, and what parameters of different stages must have to do with one another.
 std::string checkParameters(const Parameters& parameters);
 
 }  // namespace field_phenotyping

@@ -444,11 +444,17 @@ class Options(FieldTest):
             content(self.path('plain', 'plants.csv')), content(self.path('set', 'plants.csv'))
         )
 
-    def test_shipped_configuration(self):
-        out = self.path('run')
-        config = os.path.join(ROOT, 'config', 'maize.yaml')
-        self.assert_done(self.measure(self.field, '-o', out, '--config', config))
-        self.plants_of(out)
+    def test_shipped_configurations(self):
+        folder = os.path.join(ROOT, 'config')
+        self.assertGreaterEqual(
+            set(os.listdir(folder)), {'maize.yaml', 'seedling.yaml', 'sorghum.yaml'}
+        )
+        for name in sorted(os.listdir(folder)):
+            with self.subTest(name):
+                out = self.path('run')
+                config = os.path.join(folder, name)
+                self.assert_done(self.measure(self.field, '-o', out, '--config', config))
+                self.plants_of(out)
 
     def test_set_and_config_have_effect(self):
         def stem_points(*arguments):
@@ -491,21 +497,24 @@ class Options(FieldTest):
 
     def test_bad_assignments(self):
         for text, fragments in (
-            ('segmentation/N=0.5', ("'segmentation/N'", "'M'")),
-            ('segmentation/max_growth_step=5', ("'max_growth_steps'",)),
+            ('segmentation/N=0.5', ("'segmentation/N'", "'segmentation/M' (0.01 ... 1)")),
+            ('segmentation/max_growth_step=5', ("'segmentation/max_growth_steps'",)),
+            ('segmentation/block_siz=5', ("'preprocessing/block_size' (0.5 ... 100 m)",)),
             ('segmentatoin/M=0.5', ("'segmentation'",)),
             ('M=0.5', ('stage/parameter=value',)),
             ('segmentation/M', ('stage/parameter=value',)),
             ('segmentation/M=', ('segmentation/M',)),
-            ('segmentation/M=high', ('segmentation/M', 'high')),
+            ('segmentation/M=high', ('segmentation/M', 'high', 'a number (0.01 ... 1)')),
             ('segmentation/M=0.5 0.6', ('segmentation/M',)),
             ('segmentation/max_growth_steps=1.5', ('max_growth_steps', '1.5')),
-            ('segmentation/M=1.5', ('segmentation/M', '1.5', '[0.01, 1]')),
+            ('segmentation/M=1.5', ('segmentation/M', '1.5', '0.01 ... 1')),
             ('segmentation/M=nan', ('segmentation/M',)),
             ('segmentation/M=-.inf', ('segmentation/M',)),
             ('completion/enabled=perhaps', ('completion/enabled', 'perhaps')),
             ('measurement/mode=guess', ('measurement/mode', 'guess', 'robust', 'paper')),
+            ('measurement/mode=papr', ("did you mean 'paper'",)),
             ('preprocessing/min_range=40', ('min_range', '30')),
+            ('preprocessing/voxel_size=0.03', ('voxel_size', 'segmentation/max_stem_radius')),
         ):
             with self.subTest(text):
                 self.assert_refused(
@@ -516,7 +525,9 @@ class Options(FieldTest):
     def test_bad_configurations(self):
         config = self.path('bad.yaml')
         for text, fragments in (
-            ('segmentation:\n  MM: 0.5\n', ("'segmentation/MM'", "'M'")),
+            ('segmentation:\n  MM: 0.5\n', ("'segmentation/MM'", "'segmentation/M' (0.01 ... 1)")),
+            ('segmentation: {M: 0.5}\nmeasurement: {noise: 0}\nsegmentation: {M: 0.6}\n',
+             ('segmentation/M is given twice',)),
             ('segmentations:\n  M: 0.5\n', ("'segmentation'",)),
             ('segmentation:\n  M: 2\n', ('segmentation/M', '2')),
             ('segmentation:\n  M: [1, 2]\n', ('segmentation/M',)),

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 
 
@@ -36,16 +37,21 @@ def replay(folder, *arguments):
     return run.returncode, run.stdout, plants
 
 
+def make_bag(folder):
+    """Writes a bag of six plants; returns its path and the plants' bases."""
+    bag = os.path.join(folder, "field.bag")
+    said = subprocess.check_output([WRITE_TEST_BAG, bag], text=True)
+    return bag, [[float(v) for v in line.split()] for line in said.splitlines()]
+
+
 class ReplayTest(unittest.TestCase):
     def test_bag_in_plants_out(self):
         with tempfile.TemporaryDirectory() as folder:
-            bag = os.path.join(folder, "field.bag")
-            truth = [
-                [float(v) for v in line.split()]
-                for line in subprocess.check_output([WRITE_TEST_BAG, bag], text=True).splitlines()
-            ]
+            bag, truth = make_bag(folder)
             code, said, plants = replay(folder, "bag:=" + bag)
         self.assertEqual(code, 0, said)
+        self.assertRegex(said, r"30 scans, \S+ x real time: the bag is over after")
+        self.assertNotIn("dropped", said)
         self.assertEqual(len(plants), len(truth), said)
         for x, y, _ in truth:
             distances = [math.hypot(float(p["x"]) - x, float(p["y"]) - y) for p in plants]
@@ -54,6 +60,43 @@ class ReplayTest(unittest.TestCase):
             self.assertAlmostEqual(float(nearest["height"]), 1.3, delta=0.05)
             self.assertAlmostEqual(float(nearest["stem_diameter"]), 0.022, delta=0.003)
             self.assertEqual(nearest["final"], "1")
+
+    def test_wrong_parameters_are_named_with_what_is_right(self):
+        config = os.path.join(os.path.dirname(os.path.abspath(__file__)), "wrong_parameters.yaml")
+        with tempfile.TemporaryDirectory() as folder:
+            bag, truth = make_bag(folder)
+            code, said, plants = replay(folder, "bag:=" + bag, "config:=" + config)
+        self.assertEqual(code, 0, said)
+        self.assertEqual(len(plants), len(truth), said)
+        for text in (
+                "preprocessing/voxelsize'; did you mean 'preprocessing/voxel_size' "
+                "(0.0005 ... 0.1 m)?",
+                "preprocessing/tf_timout'; did you mean 'preprocessing/tf_timeout'",
+                "preprocessing/outlier_radius is not a number (0.001 ... 1 m): ignored",
+                "segmentation/M_branching is 7, outside 0.1 ... 2: moved into it",
+                "segmentation/block_size'; did you mean 'preprocessing/block_size' (0.5 ... 100 m)?",
+                "segmentaton/M is read by nobody: there is no stage 'segmentaton'; did you mean "
+                "'segmentation'?",
+                "'papr' is neither 'robust' nor 'paper'; did you mean 'paper'?"):
+            self.assertIn(text, said)
+
+    def test_bag_without_points_names_what_is_there(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag, _ = make_bag(folder)
+            code, said, plants = replay(folder, "bag:=" + bag, "points_topic:=/scan")
+            self.assertIn("no sensor_msgs/PointCloud2 on /scan, only:", said)
+            self.assertIn("/points (sensor_msgs/PointCloud2)", said)
+            self.assertEqual(plants, [])
+            code, said, plants = replay(folder, "bag:=" + os.path.join(folder, "none.bag"))
+            self.assertIn("none.bag' cannot be read", said)
+
+    def test_no_faster_than_asked_for(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag, truth = make_bag(folder)
+            begin = time.monotonic()
+            code, said, plants = replay(folder, "bag:=" + bag, "rate:=1.0")
+            self.assertGreater(time.monotonic() - begin, 2.9 + 3.0, said)
+        self.assertEqual(len(plants), len(truth), said)
 
     def test_foreign_bag_of_a_road_gives_no_plant_and_says_why(self):
         bag = os.path.join(SHARED_DATA, "luminar.bag")

@@ -1,0 +1,264 @@
+#include "bag_player.hpp"
+
+#include <rosgraph_msgs/Clock.h>
+#include <tf2_msgs/TFMessage.h>
+
+#include <algorithm>
+#include <cmath>
+#include <exception>
+#include <iomanip>
+#include <sstream>
+#include <stdexcept>
+#include <utility>
+
+#include "block_serialization.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+// How long a stage may think about a block before it counts as given up.
+const ros::WallDuration kStalled(60.0);
+// /clock goes on so often while nothing is played: whoever takes a silent clock for the end waits.
+const ros::WallDuration kTick(0.2);
+const ros::WallDuration kFailureShown(5.0);
+const ros::WallDuration kTellInterval(5.0);
+const ros::WallDuration kPoll(0.001);
+// Subscribers that are there already need so long to be connected.
+const ros::WallDuration kSettle(0.5);
+
+double clamped(const ros::NodeHandle& pnh, const char* name, double value, double low) {
+  return std::max(pnh.param(name, value), low);
+}
+
+std::size_t countOf(const ros::NodeHandle& pnh, const char* name, int value) {
+  return static_cast<std::size_t>(std::max(pnh.param(name, value), 1));
+}
+
+std::string withSlash(const std::string& topic) {
+  return !topic.empty() && topic.front() != '/' ? "/" + topic : topic;
+}
+
+}  // namespace
+
+BagPlayer::BagPlayer(ros::NodeHandle nh, const ros::NodeHandle& pnh, std::string name)
+    : name_(std::move(name)),
+      path_(pnh.param<std::string>("bag", "")),
+      points_topic_(withSlash(pnh.param<std::string>("points_topic", "/points"))),
+      rate_(clamped(pnh, "rate", 0.0, 0.0)),
+      tf_ahead_(clamped(pnh, "tf_ahead", 2.0, 0.0)),
+      most_scans_(countOf(pnh, "scans_in_work", 10)),
+      most_blocks_(countOf(pnh, "blocks_in_work", 6)),
+      clock_(nh.advertise<rosgraph_msgs::Clock>("/clock", 10)),
+      points_(nh.advertise<sensor_msgs::PointCloud2>(points_topic_,
+                                                     static_cast<std::uint32_t>(most_scans_))),
+      tf_(nh.advertise<tf2_msgs::TFMessage>("/tf", 100)),
+      tf_static_(nh.advertise<tf2_msgs::TFMessage>("/tf_static", 10, true)) {
+  pnh.getParam("wait_for_services", services_);
+  ros::NodeHandle private_handle = pnh;
+  block_input_ = private_handle.subscribe("blocks", 200, &BagPlayer::noteBlock, this);
+  plant_input_ = private_handle.subscribe("plants", 200, &BagPlayer::notePlants, this);
+  thread_ = std::thread([this] { run(); });
+}
+
+BagPlayer::~BagPlayer() {
+  running_ = false;
+  block_input_.shutdown();
+  plant_input_.shutdown();
+  thread_.join();
+}
+
+void BagPlayer::run() {
+  try {
+    open();
+    waitForStages();
+    if (running_) play();
+  } catch (const std::exception& error) {
+    ROS_FATAL_STREAM("[" << name_ << "] " << error.what());
+    // A clock that has begun and stops is the end for those who wait for it, once they are there.
+    const ros::WallTime end = ros::WallTime::now() + kFailureShown;
+    while (running_ && ros::WallTime::now() < end) {
+      tick();
+      kTick.sleep();
+    }
+  }
+}
+
+void BagPlayer::open() {
+  try {
+    bag_.open(path_, rosbag::bagmode::Read);
+  } catch (const rosbag::BagException& error) {
+    throw std::runtime_error("the bag '" + path_ + "' cannot be read: " + error.what());
+  }
+  const auto isPoints = [this](const rosbag::ConnectionInfo* connection) {
+    return withSlash(connection->topic) == points_topic_ &&
+           connection->datatype == "sensor_msgs/PointCloud2";
+  };
+  const auto isTransform = [](const rosbag::ConnectionInfo* connection) {
+    return withSlash(connection->topic) == "/tf";
+  };
+  scans_ = std::make_unique<rosbag::View>(bag_, isPoints);
+  transforms_ = std::make_unique<rosbag::View>(bag_, isTransform);
+  if (scans_->size() > 0U) return;
+  std::ostringstream text;
+  text << "the bag '" << path_ << "' has no sensor_msgs/PointCloud2 on " << points_topic_
+       << ", only:";
+  for (const rosbag::ConnectionInfo* connection : rosbag::View(bag_).getConnections()) {
+    text << " " << connection->topic << " (" << connection->datatype << ")";
+  }
+  throw std::runtime_error(text.str());
+}
+
+void BagPlayer::waitForStages() {
+  for (const std::string& service : services_) {
+    while (running_ && !ros::service::exists(service, false)) {
+      ROS_WARN_STREAM_DELAYED_THROTTLE(10.0, "[" << name_ << "] waiting for " << service);
+      ros::WallDuration(0.1).sleep();
+    }
+  }
+  while (running_ && points_.getNumSubscribers() == 0U) ros::WallDuration(0.1).sleep();
+  kSettle.sleep();
+}
+
+/// All of the bag at once, as who holds for ever.
+void BagPlayer::publishStaticTransforms() {
+  std::map<std::string, geometry_msgs::TransformStamped> newest;
+  const auto isStatic = [](const rosbag::ConnectionInfo* connection) {
+    return withSlash(connection->topic) == "/tf_static";
+  };
+  for (const rosbag::MessageInstance& instance : rosbag::View(bag_, isStatic)) {
+    const auto message = instance.instantiate<tf2_msgs::TFMessage>();
+    if (!message) continue;
+    for (const auto& transform : message->transforms) newest[transform.child_frame_id] = transform;
+  }
+  tf2_msgs::TFMessage all;
+  for (const auto& entry : newest) all.transforms.push_back(entry.second);
+  if (!all.transforms.empty()) tf_static_.publish(all);
+}
+
+void BagPlayer::play() {
+  begin_ = told_ = ros::WallTime::now();
+  publishStaticTransforms();
+  next_transform_ = transforms_->begin();
+  for (const rosbag::MessageInstance& instance : *scans_) {
+    const sensor_msgs::PointCloud2ConstPtr scan = instance.instantiate<sensor_msgs::PointCloud2>();
+    if (!scan) continue;
+    waitForRoom(most_scans_, most_blocks_);
+    now_ = std::max(now_, instance.getTime());
+    keepPace(now_);
+    if (!running_) return;
+    playTransformsUntil(now_ + tf_ahead_);
+    tick();
+    points_.publish(scan);
+    in_work_.emplace_back(scan);
+    ++scans_played_;
+    tell(false);
+  }
+  playTransformsUntil(ros::TIME_MAX);
+  // The last scan may be kept: nothing follows that would take its place.
+  waitForRoom(2U, 1U);
+  if (running_) tell(true);
+}
+
+/// In one message, for the listeners' queues are shorter than what comes within some seconds.
+void BagPlayer::playTransformsUntil(const ros::Time& time) {
+  tf2_msgs::TFMessage due;
+  for (; next_transform_ != transforms_->end() && next_transform_->getTime() <= time;
+       ++next_transform_) {
+    const auto message = next_transform_->instantiate<tf2_msgs::TFMessage>();
+    if (!message) continue;
+    due.transforms.insert(due.transforms.end(), message->transforms.begin(),
+                          message->transforms.end());
+  }
+  if (!due.transforms.empty()) tf_.publish(due);
+}
+
+/// Until fewer scans and blocks than these are in work.
+void BagPlayer::waitForRoom(std::size_t scans, std::size_t blocks) {
+  ros::WallTime changed = ros::WallTime::now();
+  std::pair<std::size_t, std::size_t> known{0U, 0U};
+  while (running_) {
+    const std::pair<std::size_t, std::size_t> in_work{scansInWork(), blocksInWork()};
+    if (in_work.first < scans && in_work.second < blocks) return;
+    const ros::WallTime now = ros::WallTime::now();
+    if (in_work != known) {
+      known = in_work;
+      changed = now;
+    }
+    if (now - changed > kStalled) {
+      ROS_WARN_STREAM("[" << name_ << "] " << in_work.first << " scans and " << in_work.second
+                          << " blocks have been in work for " << kStalled.toSec()
+                          << " s without an answer: going on without one");
+      in_work_.clear();
+      forgetBlocks();
+      return;
+    }
+    if (now - ticked_ > kTick) tick();
+    tell(false);
+    kPoll.sleep();
+  }
+}
+
+void BagPlayer::keepPace(const ros::Time& time) {
+  if (rate_ <= 0.0) return;
+  const ros::WallTime due =
+      begin_ + ros::WallDuration((time - scans_->getBeginTime()).toSec() / rate_);
+  while (running_ && ros::WallTime::now() < due) {
+    if (ros::WallTime::now() - ticked_ > kTick) tick();
+    kPoll.sleep();
+  }
+}
+
+void BagPlayer::tick() {
+  rosgraph_msgs::Clock message;
+  message.clock = now_;
+  clock_.publish(message);
+  ticked_ = ros::WallTime::now();
+}
+
+void BagPlayer::tell(bool at_once) {
+  const ros::WallTime now = ros::WallTime::now();
+  if (!at_once && now - told_ < kTellInterval) return;
+  told_ = now;
+  const double played = (now_ - scans_->getBeginTime()).toSec();
+  const double all = (scans_->getEndTime() - scans_->getBeginTime()).toSec();
+  const double taken = (now - begin_).toSec();
+  std::ostringstream text;
+  text << std::fixed << std::setprecision(1) << "[" << name_ << "] " << played << " of " << all
+       << " s, " << scans_played_ << " scans, " << played / taken << " x real time";
+  if (at_once) {
+    text << ": the bag is over after " << taken << " s";
+  } else if (played > 0.0) {
+    text << ", about " << std::lround(taken * (all - played) / played) << " s left";
+  }
+  ROS_INFO_STREAM(text.str());
+}
+
+std::size_t BagPlayer::scansInWork() {
+  in_work_.erase(std::remove_if(in_work_.begin(), in_work_.end(),
+                                [](const auto& scan) { return scan.expired(); }),
+                 in_work_.end());
+  return in_work_.size();
+}
+
+std::size_t BagPlayer::blocksInWork() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return blocks_.size();
+}
+
+void BagPlayer::forgetBlocks() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  blocks_.clear();
+}
+
+void BagPlayer::noteBlock(const boost::shared_ptr<const Block>& block) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  blocks_[block->header.index] = block->header.revision;
+}
+
+void BagPlayer::notePlants(const PlantPhenotypeArrayConstPtr& plants) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const auto block = blocks_.find({plants->block_x, plants->block_y});
+  if (block != blocks_.end() && block->second <= plants->revision) blocks_.erase(block);
+}
+
+}  // namespace field_phenotyping

@@ -1,0 +1,91 @@
+#pragma once
+
+#include <field_phenotyping/PlantPhenotypeArray.h>
+#include <ros/ros.h>
+#include <rosbag/bag.h>
+#include <rosbag/view.h>
+#include <sensor_msgs/PointCloud2.h>
+
+#include <atomic>
+#include <boost/weak_ptr.hpp>
+#include <condition_variable>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "field_phenotyping/preprocessing/block.hpp"
+
+namespace field_phenotyping {
+
+/// Plays the scans and transforms of a bag to the stages in the same process, as fast as they can
+/// be worked, with none dropped: the next scan goes out when few are still in work, and few blocks.
+/// A scan counts as in work while anybody in the process holds its message, a block until the
+/// measurement has answered its newest revision.
+///
+/// Transforms are handed out ahead of the scans, so that no scan has to wait for its own; /clock
+/// follows the scans. On a thread of its own from the constructor on.
+class BagPlayer {
+ public:
+  /// Reads `~bag`, `~points_topic`, `~rate` [times real time; 0: as fast as can be worked],
+  /// `~tf_ahead` [s], `~scans_in_work`, `~blocks_in_work`, and `~wait_for_services`: what must be
+  /// there before the first scan.
+  BagPlayer(ros::NodeHandle nh, const ros::NodeHandle& pnh, std::string name);
+  ~BagPlayer();
+
+ private:
+  void run();
+  void waitForStages();
+  void open();
+  void publishStaticTransforms();
+  void play();
+  void playTransformsUntil(const ros::Time& time);
+  void waitForRoom(std::size_t scans, std::size_t blocks);
+  void keepPace(const ros::Time& time);
+  void tick();
+  void tell(bool at_once);
+  std::size_t scansInWork();
+  std::size_t blocksInWork();
+  void forgetBlocks();
+
+  void noteBlock(const boost::shared_ptr<const Block>& block);
+  void notePlants(const PlantPhenotypeArrayConstPtr& plants);
+
+  const std::string name_;
+  const std::string path_;
+  const std::string points_topic_;
+  const double rate_;
+  const ros::Duration tf_ahead_;
+  const std::size_t most_scans_;
+  const std::size_t most_blocks_;
+  std::vector<std::string> services_;
+
+  rosbag::Bag bag_;
+  std::unique_ptr<rosbag::View> scans_;
+  std::unique_ptr<rosbag::View> transforms_;
+  rosbag::View::iterator next_transform_;
+  ros::Time now_;  // of the bag
+  ros::WallTime begin_;
+  ros::WallTime told_;
+  ros::WallTime ticked_;
+  std::size_t scans_played_ = 0U;
+  std::deque<boost::weak_ptr<const sensor_msgs::PointCloud2>> in_work_;
+
+  std::mutex mutex_;
+  std::map<BlockIndex, std::uint32_t> blocks_;  // revisions that are not measured yet
+
+  ros::Publisher clock_;
+  ros::Publisher points_;
+  ros::Publisher tf_;
+  ros::Publisher tf_static_;
+  ros::Subscriber block_input_;
+  ros::Subscriber plant_input_;
+  std::atomic<bool> running_{true};
+  std::thread thread_;  // last: runs on all of the above
+};
+
+}  // namespace field_phenotyping
