@@ -1,11 +1,14 @@
 #include "bag_player.hpp"
 
 #include <rosgraph_msgs/Clock.h>
+#include <std_srvs/Trigger.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <exception>
+#include <future>
 #include <iomanip>
 #include <sstream>
 #include <stdexcept>
@@ -53,7 +56,7 @@ BagPlayer::BagPlayer(ros::NodeHandle nh, const ros::NodeHandle& pnh, std::string
                                                      static_cast<std::uint32_t>(most_scans_))),
       tf_(nh.advertise<tf2_msgs::TFMessage>("/tf", 100)),
       tf_static_(nh.advertise<tf2_msgs::TFMessage>("/tf_static", 10, true)) {
-  pnh.getParam("wait_for_services", services_);
+  pnh.getParam("flush_services", flush_services_);
   ros::NodeHandle private_handle = pnh;
   block_input_ = private_handle.subscribe("blocks", 200, &BagPlayer::noteBlock, this);
   plant_input_ = private_handle.subscribe("plants", 200, &BagPlayer::notePlants, this);
@@ -109,7 +112,7 @@ void BagPlayer::open() {
 }
 
 void BagPlayer::waitForStages() {
-  for (const std::string& service : services_) {
+  for (const std::string& service : flush_services_) {
     while (running_ && !ros::service::exists(service, false)) {
       ROS_WARN_STREAM_DELAYED_THROTTLE(10.0, "[" << name_ << "] waiting for " << service);
       ros::WallDuration(0.1).sleep();
@@ -151,12 +154,29 @@ void BagPlayer::play() {
     points_.publish(scan);
     in_work_.emplace_back(scan);
     ++scans_played_;
-    tell(false);
+    tell();
   }
   playTransformsUntil(ros::TIME_MAX);
   // The last scan may be kept: nothing follows that would take its place.
   waitForRoom(2U, 1U);
-  if (running_) tell(true);
+  if (running_) flush();
+}
+
+/// Every stage hands on what it holds, down the chain.
+void BagPlayer::flush() {
+  std::future<bool> flushed = std::async(std::launch::async, [this] {
+    return std::all_of(flush_services_.begin(), flush_services_.end(), [](const auto& service) {
+      std_srvs::Trigger trigger;
+      return ros::service::call(service, trigger) && trigger.response.success;
+    });
+  });
+  while (flushed.wait_for(std::chrono::milliseconds(100)) != std::future_status::ready) {
+    tick();
+    tell("working what is left");
+  }
+  told_ = ros::WallTime();
+  tell(flushed.get() ? "all is worked"
+                     : "a stage could not be flushed: the last plants may be missing");
 }
 
 /// In one message, for the listeners' queues are shorter than what comes within some seconds.
@@ -193,7 +213,7 @@ void BagPlayer::waitForRoom(std::size_t scans, std::size_t blocks) {
       return;
     }
     if (now - ticked_ > kTick) tick();
-    tell(false);
+    tell();
     kPoll.sleep();
   }
 }
@@ -215,18 +235,20 @@ void BagPlayer::tick() {
   ticked_ = ros::WallTime::now();
 }
 
-void BagPlayer::tell(bool at_once) {
+/// @param last what is said where nothing is left to be played; empty while there is
+void BagPlayer::tell(const std::string& last) {
   const ros::WallTime now = ros::WallTime::now();
-  if (!at_once && now - told_ < kTellInterval) return;
+  if (now - told_ < kTellInterval) return;
   told_ = now;
   const double played = (now_ - scans_->getBeginTime()).toSec();
   const double all = (scans_->getEndTime() - scans_->getBeginTime()).toSec();
   const double taken = (now - begin_).toSec();
   std::ostringstream text;
   text << std::fixed << std::setprecision(1) << "[" << name_ << "] " << played << " of " << all
-       << " s, " << scans_played_ << " scans, " << played / taken << " x real time";
-  if (at_once) {
-    text << ": the bag is over after " << taken << " s";
+       << " s, " << scans_played_ << " scans, in " << taken << " s, " << played / taken
+       << " x real time";
+  if (!last.empty()) {
+    text << ": " << last;
   } else if (played > 0.0) {
     text << ", about " << std::lround(taken * (all - played) / played) << " s left";
   }

@@ -43,11 +43,12 @@ class BagPlayer {
   void open();
   void publishStaticTransforms();
   void play();
+  void flush();
   void playTransformsUntil(const ros::Time& time);
   void waitForRoom(std::size_t scans, std::size_t blocks);
   void keepPace(const ros::Time& time);
   void tick();
-  void tell(bool at_once);
+  void tell(const std::string& last = "");
   std::size_t scansInWork();
   std::size_t blocksInWork();
   void forgetBlocks();
@@ -62,7 +63,7 @@ class BagPlayer {
   const ros::Duration tf_ahead_;
   const std::size_t most_scans_;
   const std::size_t most_blocks_;
-  std::vector<std::string> services_;
+  std::vector<std::string> flush_services_;
 
   rosbag::Bag bag_;
   std::unique_ptr<rosbag::View> scans_;

@@ -50,7 +50,7 @@ class ReplayTest(unittest.TestCase):
             bag, truth = make_bag(folder)
             code, said, plants = replay(folder, "bag:=" + bag)
         self.assertEqual(code, 0, said)
-        self.assertRegex(said, r"30 scans, \S+ x real time: the bag is over after")
+        self.assertRegex(said, r"30 scans, in \S+ s, \S+ x real time: all is worked")
         self.assertNotIn("dropped", said)
         self.assertEqual(len(plants), len(truth), said)
         for x, y, _ in truth:
