@@ -1,5 +1,8 @@
 #include "block_stage.hpp"
 
+#include <array>
+#include <sstream>
+
 namespace field_phenotyping {
 
 const std::set<std::string>& commonParameterNames() {
@@ -8,7 +11,37 @@ const std::set<std::string>& commonParameterNames() {
   return names;
 }
 
-void checkDevice(const ros::NodeHandle& pnh, StageHealth& health) {
+namespace {
+
+/// A number that a stage reads once at its start, and the least that makes sense.
+struct FixedNumber {
+  const char* name;
+  double least;
+  const char* unit;
+};
+constexpr std::array<FixedNumber, 5> kFixedNumbers = {{{"history", 0.0, ""},
+                                                       {"wait_for_subscriber", 0.0, " s"},
+                                                       {"tf_timeout", 0.0, " s"},
+                                                       {"idle_timeout", 0.0, " s"},
+                                                       {"queue_size", 1.0, ""}}};
+
+}  // namespace
+
+void checkFixedParameters(const ros::NodeHandle& pnh, StageHealth& health) {
+  for (const FixedNumber& number : kFixedNumbers) {
+    if (!pnh.hasParam(number.name)) continue;
+    const std::string name = pnh.resolveName(number.name);
+    std::ostringstream text;
+    double value = 0.0;
+    if (!pnh.getParam(number.name, value)) {
+      text << name << " is not a number (" << number.least << " ..." << number.unit
+           << "): ignored, its default is in force";
+    } else if (!(value >= number.least)) {
+      text << name << " is " << value << ", below " << number.least << number.unit
+           << ": taken for that";
+    }
+    if (!text.str().empty()) health.trouble(name, text.str());
+  }
   const std::string device = pnh.param<std::string>("device", "auto");
   if (device == "auto" || device == "cpu") return;
   health.trouble("device", device == "cuda"

@@ -25,8 +25,9 @@ constexpr std::uint32_t kChainQueue = 200U;
 /// Private parameters that every stage reads besides its section.
 const std::set<std::string>& commonParameterNames();
 
-/// Says so when a device was asked for that this build does not have.
-void checkDevice(const ros::NodeHandle& pnh, StageHealth& health);
+/// Says so when what a stage reads once at its start is no number or out of range, or when a device
+/// was asked for that this build does not have.
+void checkFixedParameters(const ros::NodeHandle& pnh, StageHealth& health);
 
 /// Holds work back until somebody listens, so that what arrives while the other nodelets are still
 /// being loaded is not handed on into the void; after `~wait_for_subscriber` [s, default 10] work
@@ -59,7 +60,7 @@ class BlockStage {
         parameters_(pnh_, health_, commonParameterNames(), [this] { parameters_changed_ = true; }),
         output_(pnh_.advertise<Output>("output", kChainQueue)),
         gate_(pnh_, output_) {
-    checkDevice(pnh_, health_);
+    checkFixedParameters(pnh_, health_);
   }
   ~BlockStage() { stop(); }
 

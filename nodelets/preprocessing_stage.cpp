@@ -59,7 +59,7 @@ PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
       done_(historyOf(pnh_)),
       ground_(pnh_, "ground", addGround),
       cloud_(pnh_, "cloud", addAboveGround) {
-  checkDevice(pnh_, health_);
+  checkFixedParameters(pnh_, health_);
   worker_ = std::thread([this] { run(); });
   flush_server_ = pnh_.advertiseService("flush", &PreprocessingStage::flush, this);
   input_ = pnh_.subscribe("input", static_cast<std::uint32_t>(queue_size_),

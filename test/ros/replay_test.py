@@ -73,6 +73,8 @@ class ReplayTest(unittest.TestCase):
                 "(0.0005 ... 0.1 m)?",
                 "preprocessing/tf_timout'; did you mean 'preprocessing/tf_timeout'",
                 "preprocessing/outlier_radius is not a number (0.001 ... 1 m): ignored",
+                "preprocessing/tf_timeout is not a number (0 ... s): ignored",
+                "preprocessing/queue_size is 0, below 1: taken for that",
                 "segmentation/M_branching is 7, outside 0.1 ... 2: moved into it",
                 "segmentation/block_size'; did you mean 'preprocessing/block_size' (0.5 ... 100 m)?",
                 "segmentaton/M is read by nobody: there is no stage 'segmentaton'; did you mean "
