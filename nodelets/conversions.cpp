@@ -304,7 +304,9 @@ visualization_msgs::MarkerArray plantMarkers(const std::vector<Phenotype>& plant
         marker(header, "axis", plant.id, visualization_msgs::Marker::ADD);
     axis.type = visualization_msgs::Marker::LINE_STRIP;
     axis.scale.x = 0.005;
-    axis.color.r = axis.color.g = axis.color.b = 1.0F;
+    // Red to green by the score; the line is as high as the plant.
+    axis.color.r = static_cast<float>(std::min(1.0, 2.0 - 2.0 * plant.score));
+    axis.color.g = static_cast<float>(std::min(1.0, 2.0 * plant.score));
     axis.points = {toPoint(plant.base), toPoint(topOf(plant))};
     array.markers.push_back(axis);
 
@@ -317,6 +319,34 @@ visualization_msgs::MarkerArray plantMarkers(const std::vector<Phenotype>& plant
     label.text = labelText(plant);
     array.markers.push_back(label);
   }
+  return array;
+}
+
+visualization_msgs::MarkerArray blockMarker(const Block& block) {
+  visualization_msgs::MarkerArray array;
+  const BlockHeader& header = block.header;
+  std_msgs::Header frame;
+  frame.frame_id = header.frame_id;
+  // One number a tile, for any field that is less than 65536 tiles wide.
+  const auto id = static_cast<std::int32_t>((static_cast<std::uint32_t>(header.index.x) << 16U) ^
+                                            (static_cast<std::uint32_t>(header.index.y) & 0xffffU));
+  visualization_msgs::Marker border = marker(frame, "block", id, visualization_msgs::Marker::ADD);
+  border.type = visualization_msgs::Marker::LINE_STRIP;
+  border.scale.x = 0.02;
+  border.color.r = header.final ? 0.2F : 1.0F;
+  border.color.g = header.final ? 0.8F : 0.7F;
+  border.color.b = header.final ? 0.3F : 0.1F;
+  const Eigen::Vector2d low = header.lowCorner();
+  using Corner = Eigen::Vector2d;
+  for (const Corner& step :
+       {Corner(0, 0), Corner(1, 0), Corner(1, 1), Corner(0, 1), Corner(0, 0)}) {
+    const Eigen::Vector2d corner = low + header.tile_size * step;
+    const Eigen::Vector3d& origin = block.cloud.origin;
+    const Eigen::Vector2f local = (corner - origin.head<2>()).cast<float>();
+    const float soil = block.ground.heightAt(local.x(), local.y());
+    border.points.push_back(toPoint({corner.x(), corner.y(), origin.z() + soil}));
+  }
+  array.markers.push_back(border);
   return array;
 }
 

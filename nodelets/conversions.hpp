@@ -64,8 +64,11 @@ void addPlants(const SegmentedBlock& block, DisplayCloud& cloud);
 /// Filled-in stem points of the block's own plants, red.
 void addSynthetic(const CompletedBlock& block, DisplayCloud& cloud);
 
-/// Axis (namespace "axis") and label with height and stem diameter ("label") of each plant; the
-/// marker's id is the plant's.
+/// Border of the block's tile on the soil: orange while scans may reach it, green once it is final.
+visualization_msgs::MarkerArray blockMarker(const Block& block);
+
+/// Axis (namespace "axis"; as high as the plant, red to green by its score) and label with height
+/// and stem diameter ("label") of each plant; the marker's id is the plant's.
 visualization_msgs::MarkerArray plantMarkers(const std::vector<Phenotype>& plants,
                                              const std_msgs::Header& header);
 /// Takes the markers of plants that are no longer believed in away.

@@ -58,7 +58,8 @@ PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
       preprocessor_(parameters_.current(), target_frame_),
       done_(historyOf(pnh_)),
       ground_(pnh_, "ground", addGround),
-      cloud_(pnh_, "cloud", addAboveGround) {
+      cloud_(pnh_, "cloud", addAboveGround),
+      borders_(pnh_.advertise<visualization_msgs::MarkerArray>("blocks", 100)) {
   checkFixedParameters(pnh_, health_);
   worker_ = std::thread([this] { run(); });
   flush_server_ = pnh_.advertiseService("flush", &PreprocessingStage::flush, this);
@@ -342,6 +343,7 @@ void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
   done_.add(finished);
   ground_.changed();
   cloud_.changed();
+  if (borders_.getNumSubscribers() > 0U) borders_.publish(blockMarker(*finished));
   health_.count("blocks handed on");
   health_.show("points in the last block", static_cast<double>(finished->cloud.size()));
   health_.finished((ros::WallTime::now() - begin).toSec());

@@ -97,6 +97,7 @@ class PreprocessingStage {
   BlockHistory<Block> done_;
   DisplayTopic<Block> ground_;
   DisplayTopic<Block> cloud_;
+  ros::Publisher borders_;
 
   // Between the callbacks and the worker.
   mutable std::mutex mutex_;

@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -80,6 +81,37 @@ class Bench:
         seed = [] if '--seed' in settings else ['--seed', self.seed]
         self.run('simulate_field', '--no-bag', '--output', field, *seed, *settings)
         return field
+
+    def drive(self, *settings):
+        """Folder of a new simulated field with the bag of the drive through it."""
+        field = self._new_folder('field')
+        self.run('simulate_field', '--output', field, '--seed', self.seed, *settings)
+        return field
+
+    def replay(self, bag, *settings):
+        """Folder of what replay.launch makes of a bag, with a ROS master of its own, and seconds."""
+        output = self._new_folder('replay')
+        with socket.socket() as listener:
+            listener.bind(('127.0.0.1', 0))
+            port = listener.getsockname()[1]
+        environment = dict(
+            os.environ,
+            ROS_MASTER_URI='http://localhost:{}'.format(port),
+            ROS_HOME=os.path.join(output, 'ros'),
+        )
+        command = ['roslaunch', '-p', str(port), 'field_phenotyping', 'replay.launch']
+        command += ['bag:=' + bag, 'output:=' + output] + list(settings)
+        begin = time.time()
+        done = subprocess.run(
+            command,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            universal_newlines=True,
+        )
+        if done.returncode != 0:
+            raise InputError('{} failed:\n{}'.format(' '.join(command), done.stdout[-4000:]))
+        return output, time.time() - begin
 
     def measure(self, cloud, *settings):
         """Folder of a run of phenotype_cloud with its defaults and `settings`."""

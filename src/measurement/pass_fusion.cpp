@@ -8,7 +8,7 @@ namespace {
 
 constexpr std::uint32_t kDoubtfulHeight = kGroundExtrapolated | kGroundMissing | kTruncated;
 constexpr std::uint32_t kDoubtfulDiameter =
-    kTooFewPoints | kArcBelow | kPoorFit | kHeightShifted | kPriorDriven;
+    kTooFewPoints | kArcBelow | kPoorFit | kHeightShifted | kPriorDriven | kMergedSuspect;
 
 bool counts(const Trait& trait) {
   return std::isfinite(trait.value) && std::isfinite(trait.stddev) && trait.stddev > 0.0;
@@ -79,7 +79,10 @@ Phenotype fusePasses(const std::vector<Phenotype>& passes) {
     fused.stem_diameter = fuse(diameters, &Phenotype::stem_diameter);
     fused.stem_diameter_minor = fuse(diameters, &Phenotype::stem_diameter_minor);
     fused.stem_diameter_equivalent = fuse(diameters, &Phenotype::stem_diameter_equivalent);
-    fused.diameter_height = mostExact(diameters, &Phenotype::stem_diameter)->diameter_height;
+    fused.stem_volume = fuse(diameters, &Phenotype::stem_volume);
+    const Phenotype* best = mostExact(diameters, &Phenotype::stem_diameter);
+    fused.diameter_height = best->diameter_height;
+    fused.diameter_prior_share = best->diameter_prior_share;
   }
 
   const auto leans = trusted(passes, &Phenotype::lean, kOk);
@@ -89,7 +92,9 @@ Phenotype fusePasses(const std::vector<Phenotype>& passes) {
     fused.axis = best->axis;
     fused.lean_azimuth = best->lean_azimuth;
   }
-  fused.spacing = fuse(trusted(passes, &Phenotype::spacing, kOk), &Phenotype::spacing);
+  for (Trait Phenotype::*trait : {&Phenotype::spacing, &Phenotype::row_spacing}) {
+    fused.*trait = fuse(trusted(passes, trait, kOk), trait);
+  }
 
   for (std::size_t k = 0; k + 1U < passes.size(); ++k) {
     const Phenotype& pass = passes[k];
@@ -101,6 +106,7 @@ Phenotype fusePasses(const std::vector<Phenotype>& passes) {
     fused.completeness = std::fmax(fused.completeness, pass.completeness);
     fused.segmentation_quality = std::max(fused.segmentation_quality, pass.segmentation_quality);
   }
+  fused.score = qualityScore(fused);
   return fused;
 }
 

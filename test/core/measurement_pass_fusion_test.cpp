@@ -102,6 +102,7 @@ TEST(FusePasses, TakesAMissingTraitFromThePassThatHasIt) {
   EXPECT_NEAR(fused.stem_diameter.value, 0.02, 1e-12);
   EXPECT_EQ(fused.diameter_height, 0.7);
   EXPECT_EQ(fused.flags, kOk);
+  EXPECT_EQ(fused.score, qualityScore(fused));
 }
 
 }  // namespace

@@ -135,6 +135,30 @@ TEST(Markers, ShowAxisAndLabelOfEachPlant) {
   }
 }
 
+TEST(Markers, ShowTheBordersOfABlockOnItsSoil) {
+  Block block;
+  block.header.frame_id = "map";
+  block.header.index = {-2, 3};
+  block.header.tile_size = 4.0;
+  block.header.tile_corner = {0.5, 0.0};
+  block.cloud.origin = {-5.5, 14.0, 90.0};
+  block.ground =
+      GroundModel({-3.0F, -3.0F}, 6.0F, 2, 2,
+                  {{0.2F, 0.0F, 1U}, {0.2F, 0.0F, 1U}, {0.2F, 0.0F, 1U}, {0.2F, 0.0F, 1U}}, true);
+  const auto open = blockMarker(block);
+  ASSERT_EQ(open.markers.size(), 1U);
+  const auto& border = open.markers[0];
+  ASSERT_EQ(border.points.size(), 5U);
+  EXPECT_NEAR(border.points[0].x, -7.5, 1e-6);
+  EXPECT_NEAR(border.points[2].x, -3.5, 1e-6);
+  EXPECT_NEAR(border.points[2].y, 16.0, 1e-6);
+  EXPECT_NEAR(border.points[2].z, 90.2, 1e-6);
+  block.header.final = true;
+  EXPECT_NE(blockMarker(block).markers[0].color.r, border.color.r);
+  block.header.index = {3, -2};
+  EXPECT_NE(blockMarker(block).markers[0].id, border.id);
+}
+
 TEST(Markers, AreTakenAwayWithTheirPlants) {
   const auto removed = removedMarkers({42}, std_msgs::Header());
   ASSERT_EQ(removed.markers.size(), 2U);

@@ -1,5 +1,5 @@
-// Writes a bag of the synthetic field, driven past to and fro: raw scans at 10 Hz and tf. Prints the
-// bases.
+// Writes a bag of the synthetic field, driven past to and fro: raw scans at 10 Hz and tf. Prints
+// the bases.
 #include <ros/time.h>
 #include <rosbag/bag.h>
 #include <tf2_eigen/tf2_eigen.h>
