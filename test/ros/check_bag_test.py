@@ -77,7 +77,7 @@ def thinned(step):
 
 
 def misses(xyz, random):
-    xyz[random.rand(len(xyz)) < 0.95] = numpy.nan
+    xyz[random.rand(len(xyz)) < 0.92] = numpy.nan
 
 
 def zeros(xyz, random):
