@@ -9,6 +9,7 @@ namespace field_phenotyping {
 namespace {
 
 constexpr float kNegligible = 1e-4F;  // probability below which a sample says nothing
+constexpr float kOnAxis = 1e-12F;     // [m^2] nearer there is no direction
 
 /// Sums over the lanes of what kLanes samples say, each with its weight.
 struct LaneSums {
@@ -77,6 +78,25 @@ struct LaneSums {
 
 }  // namespace
 
+void CellSums::addTo(CurveEquations& equations, std::size_t node, double factor) const {
+  const std::size_t i = 2U * node;
+  for (const std::size_t end : {std::size_t{0}, std::size_t{2}}) {
+    const Eigen::Vector3d square = factor * squares[end];
+    equations.add(i + end, i + end, square[0]);
+    equations.add(i + end + 1U, i + end, square[1]);
+    equations.add(i + end + 1U, i + end + 1U, square[2]);
+  }
+  const Eigen::Vector3d across = factor * squares[1];
+  equations.add(i + 2U, i, across[0]);
+  equations.add(i + 2U, i + 1U, across[1]);
+  equations.add(i + 3U, i, across[1]);
+  equations.add(i + 3U, i + 1U, across[2]);
+  for (std::size_t row = 0; row < 4U; ++row) equations.addRight(i + row, factor * borders[row]);
+  Eigen::Matrix2d profile;
+  profile << radius[0], radius[1], radius[1], radius[2];
+  equations.addRadius(factor * profile, factor * radius_target);
+}
+
 CurveSamples::CurveSamples(std::vector<Sample> placed) : samples_(std::move(placed)) {
   const std::size_t size = samples_.size() + kLanes;
   for (std::vector<float>* values : {&heights_, &u_, &v_, &shares_}) values->assign(size, 0.0F);
@@ -135,8 +155,7 @@ CurveSamples::Share CurveSamples::expect(const Run& run, const StemCurve& curve,
     Floats off = squared * precision;
     Floats norm = allOf(clutter);
     if (kSurface) {
-      constexpr float kTiny = 1e-12F;  // [m^2] on the axis
-      inverse = 1.0F / squareRootOf(largerOf(squared, allOf(kTiny)));
+      inverse = 1.0F / squareRootOf(largerOf(squared, allOf(kOnAxis)));
       height = loadFloats(&heights_[i]);
       const Floats radius = largerOf(foot_radius + taper * height, allOf(thinnest));
       const Floats beyond = squared * inverse - radius;
@@ -167,6 +186,28 @@ CurveSamples::Share CurveSamples::expect(const Run& run, const StemCurve& curve,
   const Share shown{static_cast<double>(total(stem)), static_cast<double>(total(all))};
   cell.points += shown.stem;
   return shown;
+}
+
+void CurveSamples::sumSurface(const Run& run, const StemCurve& curve,
+                              const std::vector<float>& weights, CellSums& cell) const {
+  const std::size_t node = samples_[run.begin].node;
+  const Eigen::Vector2f low = curve.centers[node].cast<float>();
+  const Eigen::Vector2f step = (curve.centers[node + 1U] - curve.centers[node]).cast<float>();
+  LaneSums sums;
+  const Floats none{};
+  for (std::size_t i = run.begin; i < run.end; i += kLanes) {
+    const Floats weight = lanesBefore(run.end - i) ? loadFloats(&weights[i]) : none;
+    if (!anyOf(weight > none)) continue;
+    const Lanes at = lanesFrom(i);
+    const Floats x = at.u - (low.x() + at.share * step.x());
+    const Floats y = at.v - (low.y() + at.share * step.y());
+    const Floats inverse = 1.0F / squareRootOf(largerOf(x * x + y * y, allOf(kOnAxis)));
+    const Floats toward_x = x * inverse;
+    const Floats toward_y = y * inverse;
+    sums.addSurface(weight, at.share, at.height, toward_x, toward_y,
+                    toward_x * at.u + toward_y * at.v);
+  }
+  sums.addTo(cell);
 }
 
 CurveSamples::Share CurveSamples::expectSurface(const Run& run, const StemCurve& curve,

@@ -386,23 +386,7 @@ class CurveFit {
       // Points of one cell err together (leaf bases, out-of-roundness), so many count as a few.
       constexpr double kMostPoints = 12.0;
       const double few = std::min(1.0, kMostPoints / cell.points);
-      const std::size_t i = 2U * k;
-      for (const std::size_t node : {std::size_t{0}, std::size_t{2}}) {
-        const Eigen::Vector3d square = few * cell.squares[node];
-        equations.add(i + node, i + node, square[0]);
-        equations.add(i + node + 1U, i + node, square[1]);
-        equations.add(i + node + 1U, i + node + 1U, square[2]);
-      }
-      const Eigen::Vector3d across = few * cell.squares[1];
-      equations.add(i + 2U, i, across[0]);
-      equations.add(i + 2U, i + 1U, across[1]);
-      equations.add(i + 3U, i, across[1]);
-      equations.add(i + 3U, i + 1U, across[2]);
-      for (std::size_t row = 0; row < 4U; ++row)
-        equations.addRight(i + row, few * cell.borders[row]);
-      Eigen::Matrix2d radius;
-      radius << cell.radius[0], cell.radius[1], cell.radius[1], cell.radius[2];
-      equations.addRadius(few * radius, few * cell.radius_target);
+      cell.addTo(equations, k, few);
     }
 
     equations.addBending(curve_.spacing);

@@ -6,6 +6,8 @@
 #include <optional>
 #include <utility>
 
+#include "field_phenotyping/common/lanes.hpp"
+#include "field_phenotyping/segmentation/curve_samples.hpp"
 #include "field_phenotyping/segmentation/stem_curve.hpp"
 
 namespace field_phenotyping {
@@ -21,8 +23,7 @@ constexpr double kMaxSpread = 0.012;    // [m]
 class SurfaceFit {
  public:
   SurfaceFit(std::vector<Sample> samples, StemCurve start, double typical_radius, double spread)
-      : samples_(std::move(samples)),
-        curve_(std::move(start)),
+      : curve_(std::move(start)),
         length_(curve_.length()),
         spread_(std::max(spread, kMinSpread)),
         most_spread_(spread_),
@@ -37,6 +38,14 @@ class SurfaceFit {
     const double size = stretch(length_);
     bands_.resize(
         std::max<std::size_t>(1U, static_cast<std::size_t>(std::lround(length_ / (kBand * size)))));
+    for (Sample& sample : samples) {
+      const StemCurve::Place place = curve_.placeOf(sample.height);
+      sample.node = static_cast<std::uint32_t>(place.node);
+      sample.share = place.share;
+      sample.band = static_cast<std::uint32_t>(bandOf(sample.height));
+    }
+    samples_ = CurveSamples(std::move(samples));
+    weights_.resize(samples_.padded());
   }
 
   /// Steps that a stretch of the stem's length stands for: shorter for a seedling's.
@@ -57,7 +66,7 @@ class SurfaceFit {
   double within(const StemCurve& curve, double radius, double spread) const {
     double count = 0.0;
     for (const Sample& sample : samples_) {
-      const double distance = (sample.offset - curve.centerAt(sample.height)).norm();
+      const double distance = (sample.offset - curve.centerAt(sample)).norm();
       if (distance < radius + 2.0 * spread) count += 1.0;
     }
     return count;
@@ -108,72 +117,105 @@ class SurfaceFit {
     return std::max(kLeast, kSpreads * spread_);
   }
 
-  static std::size_t sectorOf(const Eigen::Vector2d& away) {
+  /// Of each lane.
+  static Integers sectorsOf(const Floats& x, const Floats& y) {
     static_assert(kSectors == 6U, "three sectors on either side of the x axis");
-    constexpr double kTan60 = 1.7320508075688772;
-    const double aside = std::abs(away.y());
-    const std::size_t from_x = aside < kTan60 * away.x()    ? 0U
-                               : aside < -kTan60 * away.x() ? 2U
-                                                            : 1U;
-    return away.y() < 0.0 ? 2U - from_x : 3U + from_x;
+    constexpr float kTan60 = 1.73205081F;
+    const Floats aside = magnitudeOf(y);
+    const Integers from_x = aside < kTan60 * x    ? allOf(0)
+                            : aside < -kTan60 * x ? allOf(2)
+                                                  : allOf(1);
+    return y < 0.0F ? 2 - from_x : 3 + from_x;
+  }
+
+  /// Share of a standard normal distribution that lies below z.
+  static Floats normalShare(const Floats& z) {
+    // Abramowitz and Stegun, 26.2.17.
+    const Floats size = magnitudeOf(z);
+    const Floats t = 1.0F / (1.0F + 0.2316419F * size);
+    const Floats series =
+        t * (0.319381530F +
+             t * (-0.356563782F + t * (1.781477937F + t * (-1.821255978F + t * 1.330274429F))));
+    const Floats beyond = 0.39894228F * gauss(z) * series;
+    return z > 0.0F ? 1.0F - beyond : beyond;
+  }
+  static Floats gauss(const Floats& z) {
+    constexpr float kSmallest = -80.0F;  // that exponentialOf() takes
+    return exponentialOf(largerOf(-0.5F * z * z, allOf(kSmallest)));
+  }
+
+  /// How probably each sample of a run belongs to the surface, and what its band shows.
+  void weigh(const CurveSamples::Run& run, float ring, Counts& count, double& squares,
+             double& total) {
+    const Sample& first = samples_[run.begin];
+    const Band& band = bands_[first.band];
+    const Eigen::Vector2f low = curve_.centers[first.node].cast<float>();
+    const Eigen::Vector2f step =
+        (curve_.centers[first.node + 1U] - curve_.centers[first.node]).cast<float>();
+    const auto spread = static_cast<float>(spread_);
+    const auto foot_radius = static_cast<float>(curve_.radius);
+    const auto taper = static_cast<float>(curve_.taper);
+    const auto thinnest = static_cast<float>(curve_.thinnest());
+    constexpr double kSqrtTwoPi = 2.5066282746310002;
+    const auto density = static_cast<float>(band.stem / (kSqrtTwoPi * spread_ * 2.0 * M_PI));
+    // Neighbouring points err together (leaf bases, out-of-roundness), so many count as a few.
+    constexpr float kIndependent = 0.2F;
+    const float precision = kIndependent / (spread * spread);
+    const Floats none{};
+    for (std::size_t i = run.begin; i < run.end; i += kLanes) {
+      const CurveSamples::Lanes at = samples_.lanesFrom(i);
+      const Floats x = at.u - (low.x() + at.share * step.x());
+      const Floats y = at.v - (low.y() + at.share * step.y());
+      const Floats radius = largerOf(foot_radius + taper * at.height, allOf(thinnest));
+      const Floats beyond = squareRootOf(x * x + y * y) - radius;
+      const Integers near = lanesBefore(run.end - i) & (beyond <= ring);
+      if (!anyOf(near)) {
+        store(none, &weights_[i]);
+        continue;
+      }
+      const Floats z = beyond * (1.0F / spread);
+      const Integers sectors = sectorsOf(x, y);
+      Floats others{};
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        others[lane] = static_cast<float>(band.others[static_cast<std::size_t>(sectors[lane])]);
+      }
+      const Floats stem = density * gauss(z) / radius;
+      const Floats posterior = stem / (stem + others * normalShare(z) + 1e-9F);
+      const Floats probable = near ? posterior : none;
+      constexpr float kNegligible = 1e-4F;
+      store(probable < kNegligible ? none : precision * probable, &weights_[i]);
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        if (near[lane] == 0) continue;
+        const auto sector = static_cast<std::size_t>(sectors[lane]);
+        count.seen[sector] += static_cast<double>(probable[lane]);
+        count.others[sector] += 1.0 - static_cast<double>(probable[lane]);
+        count.points += 1.0;
+      }
+      count.stem += static_cast<double>(field_phenotyping::total(probable));
+      count.radius += static_cast<double>(field_phenotyping::total(near ? radius : none));
+      squares += static_cast<double>(field_phenotyping::total(probable * beyond * beyond));
+      total += static_cast<double>(field_phenotyping::total(probable));
+    }
   }
 
   void iterate(double highest, bool with_spread) {
     CurveEquations equations(curve_.centers.size());
     std::vector<Counts> counts(bands_.size());
-    Eigen::Matrix2d radius_normal = Eigen::Matrix2d::Zero();
-    Eigen::Vector2d radius_right = Eigen::Vector2d::Zero();
+    std::vector<CellSums> cells(curve_.centers.size());
     double squares = 0.0;
     double total = 1e-9;
     const double ring = reach();
-    for (const Sample& sample : samples_) {
-      if (sample.height > highest) break;
-      const StemCurve::Place place = curve_.placeOf(sample.height);
-      const Eigen::Vector2d away = sample.offset - curve_.centerAt(place);
-      const double radius = curve_.radiusAt(sample.height);
-      const double squared = away.squaredNorm();
-      if (squared > (radius + ring) * (radius + ring)) continue;
-      const double distance = std::max(std::sqrt(squared), 1e-6);
-      const double beyond = distance - radius;
-      const double z = beyond / spread_;
-      const std::size_t band = bandOf(sample.height);
-      const std::size_t sector = sectorOf(away);
-      constexpr double kSqrtTwoPi = 2.5066282746310002;
-      const double stem =
-          bands_[band].stem * std::exp(-0.5 * z * z) / (kSqrtTwoPi * spread_ * 2.0 * M_PI * radius);
-      const double other = bands_[band].others[sector] * 0.5 * std::erfc(-z * M_SQRT1_2);
-      const double posterior = stem / (stem + other + 1e-9);
-
-      Counts& count = counts[band];
-      count.stem += posterior;
-      count.seen[sector] += posterior;
-      count.others[sector] += 1.0 - posterior;
-      count.radius += radius;
-      count.points += 1.0;
-      squares += posterior * beyond * beyond;
-      total += posterior;
-      constexpr double kNegligible = 1e-4;
-      if (posterior < kNegligible) continue;
-
-      // Neighbouring points err together (leaf bases, out-of-roundness), so many count as a few.
-      constexpr double kIndependent = 0.2;
-      const double weight = kIndependent * posterior / (spread_ * spread_);
-      const Eigen::Vector2d toward = away / distance;
-      const double target = toward.dot(sample.offset);
-      const std::array<double, 4> row{(1.0 - place.share) * toward.x(),
-                                      (1.0 - place.share) * toward.y(), place.share * toward.x(),
-                                      place.share * toward.y()};
-      const std::size_t first = 2U * place.node;
-      const Eigen::Vector3d border = weight * Eigen::Vector3d(target, 1.0, sample.height);
-      for (std::size_t i = 0; i < 4U; ++i) {
-        for (std::size_t k = 0; k <= i; ++k) {
-          equations.add(first + i, first + k, weight * row[i] * row[k]);
-        }
-        equations.addRight(first + i, row[i] * border);
-      }
-      const Eigen::Vector2d profile(1.0, sample.height);
-      radius_normal += weight * profile * profile.transpose();
-      radius_right += weight * target * profile;
+    const auto end = static_cast<std::size_t>(
+        std::partition_point(samples_.begin(), samples_.end(),
+                             [&](const Sample& sample) { return sample.height <= highest; }) -
+        samples_.begin());
+    samples_.forEachRun(0U, end, [&](const CurveSamples::Run& run) {
+      const Sample& first = samples_[run.begin];
+      weigh(run, static_cast<float>(ring), counts[first.band], squares, total);
+      samples_.sumSurface(run, curve_, weights_, cells[first.node]);
+    });
+    for (std::size_t node = 0; node + 1U < cells.size(); ++node) {
+      cells[node].addTo(equations, node, 1.0);
     }
     explained_ = total;
     seen_around_ = shareSeen(counts);
@@ -184,12 +226,10 @@ class SurfaceFit {
 
     const double level = 1.0 / std::pow(kRadiusStddev * typical_radius_, 2);
     const Eigen::Vector2d middle(1.0, 0.5 * length_);
-    radius_normal += level * middle * middle.transpose();
-    radius_right += level * typical_radius_ * middle;
+    equations.addRadius(level * middle * middle.transpose(), level * typical_radius_ * middle);
     const double slope = 1.0 / std::pow(kTaperStddev * typical_radius_, 2);
     const Eigen::Vector2d lost(kTaper, length_);  // nothing but what the taper explains
-    radius_normal += slope * lost * lost.transpose();
-    equations.addRadius(radius_normal, radius_right);
+    equations.addRadius(slope * lost * lost.transpose(), Eigen::Vector2d::Zero());
     equations.addBending(curve_.spacing);
     equations.addHold(curve_.centers);
     // Where hardly a point is seen, the midline knows better, and the stand behind it.
@@ -244,7 +284,8 @@ class SurfaceFit {
     }
   }
 
-  std::vector<Sample> samples_;  // by height
+  CurveSamples samples_;
+  std::vector<float> weights_;  // of the samples, in the equations
   StemCurve curve_;
   double length_;
   double spread_;

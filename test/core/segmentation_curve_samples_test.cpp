@@ -142,6 +142,29 @@ TEST_P(CurveSamplesTest, AsOneByOne) {
   EXPECT_EQ(runs, 3) << "one border of nodes, one of bands";
 }
 
+TEST(CurveSamples, SumsWithWeightsFromElsewhere) {
+  const StemCurve curve = curveOfThreeNodes();
+  const CurveSamples samples(samplesRound(curve));
+  const Skin skin{0.004, 0.036, 300.0, 0.6};
+  std::vector<float> posterior(samples.padded(), 0.0F);
+  samples.forEachRun(0U, samples.size(), [&](const CurveSamples::Run& run) {
+    CellSums expected;
+    samples.expectSurface(run, curve, skin, expected, posterior);
+    constexpr float kNegligible = 1e-4F;
+    std::vector<float> weights(samples.padded(), 1e9F);  // those of other runs do not count
+    for (std::size_t i = run.begin; i < run.end; ++i) {
+      weights[i] = posterior[i] < kNegligible ? 0.0F : 0.6F / (0.004F * 0.004F) * posterior[i];
+    }
+    CellSums cell;
+    samples.sumSurface(run, curve, weights, cell);
+    ASSERT_GT(expected.radius[0], 0.0);
+    for (std::size_t k = 0; k < 3U; ++k) expectClose(cell.squares[k], expected.squares[k]);
+    for (std::size_t k = 0; k < 4U; ++k) expectClose(cell.borders[k], expected.borders[k]);
+    expectClose(cell.radius, expected.radius);
+    expectClose(cell.radius_target, expected.radius_target);
+  });
+}
+
 INSTANTIATE_TEST_SUITE_P(Shapes, CurveSamplesTest, ::testing::Values(false, true));
 
 }  // namespace

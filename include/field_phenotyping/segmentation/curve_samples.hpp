@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/lanes.hpp"
 #include "field_phenotyping/segmentation/stem_curve.hpp"
 
 namespace field_phenotyping {
@@ -25,6 +26,11 @@ struct CellSums {
     squares.fill(Eigen::Vector3d::Zero());
     borders.fill(Eigen::Vector3d::Zero());
   }
+
+  /// Adds them to the equations of the curve.
+  /// @param node the lower one
+  /// @param factor on what they count
+  void addTo(CurveEquations& equations, std::size_t node, double factor) const;
 };
 
 /// How a stem shows at some height: a normal density across its surface, or about its axis.
@@ -76,6 +82,23 @@ class CurveSamples {
   Share expectBlob(const Run& run, const StemCurve& curve, const Skin& skin, CellSums& cell,
                    std::vector<float>& posterior) const;
   std::size_t padded() const { return heights_.size(); }
+
+  /// What samples of a run say that belong to the surface of the curve with those weights.
+  /// @param weights of every sample; has space for padded() of them, none counts beyond the run
+  void sumSurface(const Run& run, const StemCurve& curve, const std::vector<float>& weights,
+                  CellSums& cell) const;
+
+  /// kLanes samples.
+  struct Lanes {
+    Floats height;
+    Floats share;
+    Floats u;
+    Floats v;
+  };
+  Lanes lanesFrom(std::size_t i) const {
+    return {loadFloats(&heights_[i]), loadFloats(&shares_[i]), loadFloats(&u_[i]),
+            loadFloats(&v_[i])};
+  }
 
  private:
   template <bool kSurface>
