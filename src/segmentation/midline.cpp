@@ -10,6 +10,7 @@
 #include <optional>
 #include <utility>
 
+#include "field_phenotyping/common/lanes.hpp"
 #include "field_phenotyping/common/log_sum.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/segmentation/curve_samples.hpp"
@@ -281,23 +282,44 @@ class CurveFit {
   }
 
   std::vector<double> bandEvidence(double low, double high) const {
-    constexpr std::array<double, 2> kShares{0.2, 0.7};
+    constexpr std::array<float, 2> kShares{0.2F, 0.7F};
     std::vector<std::array<LogSum, 2>> gains(shares_.size());
-    for (const Sample& sample : *samples_) {
-      const double squared = (sample.offset - curve_.centerAt(sample)).squaredNorm();
-      if (squared > reach_ * reach_) continue;
-      const double beyond = std::max({0.0, low - sample.height, sample.height - high});
-      constexpr double kLoosen = 0.01;  // [m/m] what a straight continuation may miss by
-      const double spread = beyond > 0.0
-                                ? std::sqrt(spread_ * spread_ + kLoosen * kLoosen * beyond * beyond)
-                                : spread_;
-      const double radius = curve_.radiusAt(sample.height);
-      const double ratio = squared < std::pow(radius + kFarthest * spread, 2)
-                               ? surfaceDensity(std::sqrt(squared), radius, spread) / clutter()
-                               : 0.0;
-      std::array<LogSum, 2>& band = gains[sample.band];
-      for (std::size_t k = 0; k < 2U; ++k) band[k].add(1.0 + kShares[k] * (ratio - 1.0));
-    }
+    constexpr float kLoosen = 0.01F;  // [m/m] what a straight continuation may miss by
+    const auto reach = static_cast<float>(reach_);
+    const auto surest = static_cast<float>(spread_);
+    const auto norm = static_cast<float>(kSqrtTwoPi * 2.0 * M_PI * clutter());
+    const Floats none{};
+    samples_->forEachRun(0U, samples_->size(), [&](const CurveSamples::Run& run) {
+      const Sample& first = (*samples_)[run.begin];
+      const Eigen::Vector2f center = curve_.centers[first.node].cast<float>();
+      const Eigen::Vector2f step =
+          (curve_.centers[first.node + 1U] - curve_.centers[first.node]).cast<float>();
+      std::array<LogSum, 2>& band = gains[first.band];
+      for (std::size_t i = run.begin; i < run.end; i += kLanes) {
+        const CurveSamples::Lanes at = samples_->lanesFrom(i);
+        const Floats x = at.u - (center.x() + at.share * step.x());
+        const Floats y = at.v - (center.y() + at.share * step.y());
+        const Floats squared = x * x + y * y;
+        const Integers counts = lanesBefore(run.end - i) & (squared <= reach * reach);
+        if (!anyOf(counts)) continue;
+        const Floats beyond = kLoosen * largerOf(largerOf(static_cast<float>(low) - at.height,
+                                                          at.height - static_cast<float>(high)),
+                                                 none);
+        const Floats spread = squareRootOf(surest * surest + beyond * beyond);
+        const Floats radius = largerOf(
+            static_cast<float>(curve_.radius) + static_cast<float>(curve_.taper) * at.height,
+            allOf(static_cast<float>(curve_.thinnest())));
+        const Floats z = (squareRootOf(squared) - radius) / spread;
+        const Integers near = counts & (z * z < static_cast<float>(kFarthest * kFarthest));
+        const Floats density = exponentialOf(near ? -0.5F * z * z : none);
+        const Floats ratio = near ? density / (norm * spread * largerOf(radius, spread)) : none;
+        for (std::size_t k = 0; k < kShares.size(); ++k) {
+          const Floats gain = counts ? 1.0F + kShares[k] * (ratio - 1.0F) : allOf(1.0F);
+          band[k].add(static_cast<double>(gain[0] * gain[1]) *
+                      static_cast<double>(gain[2] * gain[3]));
+        }
+      }
+    });
     std::vector<double> bands;
     for (const std::array<LogSum, 2>& band : gains) {
       bands.push_back(std::min(std::max({0.0, band[0].value(), band[1].value()}), mostEvidence()));
@@ -318,22 +340,8 @@ class CurveFit {
         std::clamp(height / scale_.share_band, 0.0, static_cast<double>(shares_.size() - 1U)));
   }
 
-  /// Density of a stem's points over the plane across it [1/m^2].
-  static double surfaceDensity(double distance, double radius, double spread) {
-    const double z = (distance - radius) / spread;
-    return gauss(z * z) / surfaceNorm(radius, spread);
-  }
-  static double surfaceNorm(double radius, double spread) {
-    constexpr double kSqrtTwoPi = 2.5066282746310002;
-    return kSqrtTwoPi * 2.0 * M_PI * spread * std::max(radius, spread);
-  }
   static constexpr double kFarthest = 5.6;  // standard deviations: exp(-16) changes nothing
-  static double gauss(double squared) {
-    // Nor does the eighth digit.
-    return squared < kFarthest * kFarthest
-               ? static_cast<double>(std::exp(static_cast<float>(-0.5 * squared)))
-               : 0.0;
-  }
+  static constexpr double kSqrtTwoPi = 2.5066282746310002;
   double clutter() const { return 1.0 / (M_PI * reach_ * reach_); }
 
   double reachAt(double height) const {

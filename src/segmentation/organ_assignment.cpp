@@ -498,10 +498,11 @@ class LeafForm {
       if (cells.shapes[n].linearity < kLeastLinearity) continue;
       const StemAxis& axis = axes[static_cast<std::size_t>(cells.owner[n])];
       std::size_t segment = 0U;
-      const Pose pose = poseOf(lanesOf(cells.shapes[n], cells.centers[n]), axis, segment);
+      const OrganLanes organ = lanesOf(cells.shapes[n], cells.centers[n]);
+      const Pose pose = poseOf(organ, axis, segment);
       const auto bin = static_cast<std::size_t>(pose.distance[0] / kBin);
       if (pose.known[0] == 0 || bin >= kBins) continue;
-      for (Samples* of : {&whole, &samples[bandOf(cells.centers[n].z(), axis)]}) {
+      for (Samples* of : {&whole, &samples[static_cast<std::size_t>(bandsOf(organ.z, axis)[0])]}) {
         of->slopes[bin].push_back(pose.slope[0]);
         of->misses[bin].push_back(pose.miss[0]);
       }
@@ -538,8 +539,9 @@ class LeafForm {
     Floats slope{};
     Floats slope_spread{};
     Floats miss_spread{};
+    const Integers bands = bandsOf(organ.z, axis);
     for (std::size_t lane = 0; lane < kLanes; ++lane) {
-      const Profile& profile = bands_[bandOf(organ.z[lane], axis)];
+      const Profile& profile = bands_[static_cast<std::size_t>(bands[lane])];
       const auto k = static_cast<std::size_t>(at[lane]);
       const float share = at[lane] - static_cast<float>(k);
       const auto between = [&](float Bin::*value) {
@@ -572,11 +574,12 @@ class LeafForm {
     std::array<std::vector<float>, kBins> misses;
   };
 
-  static std::size_t bandOf(float z, const StemAxis& axis) {
+  static Integers bandsOf(const Floats& z, const StemAxis& axis) {
     const float low = axis.nodes().front().position.z();
     const float height = std::max(axis.nodes().back().position.z() - low, kBin);
-    const float share = std::clamp((z - low) / height, 0.0F, 1.0F);
-    return std::min(static_cast<std::size_t>(share * static_cast<float>(kBands)), kBands - 1U);
+    const Floats bands = (z - low) * (static_cast<float>(kBands) / height);
+    return __builtin_convertvector(clampedTo(bands, 0.0F, static_cast<float>(kBands) - 0.5F),
+                                   Integers);
   }
 
   /// Where a distance has few samples: `usual`, or what is known nearer to the stem.

@@ -56,17 +56,6 @@ Eigen::Vector3f StemAxis::pointAtHeight(float z) const {
   return pointAtHeight(z, i);
 }
 
-Eigen::Vector3f StemAxis::pointAtHeight(float z, std::size_t& segment) const {
-  std::size_t i = rising_ ? std::min(segment, nodes_.size() - 2U) : 0U;
-  while (i + 2U < nodes_.size() && nodes_[i + 1U].position.z() < z) ++i;
-  while (rising_ && i > 0U && nodes_[i].position.z() >= z) --i;
-  segment = i;
-  const Eigen::Vector3f& low = nodes_[i].position;
-  const Eigen::Vector3f step = nodes_[i + 1].position - low;
-  if (!(step.z() > 0.0F)) return {low.x(), low.y(), z};
-  return low + (z - low.z()) / step.z() * step;
-}
-
 StemAxis StemAxis::below(float s) const {
   constexpr float kLeastLength = 0.02F;
   const float top = std::clamp(s, std::min(kLeastLength, length()), length());

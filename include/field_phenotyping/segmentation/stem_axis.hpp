@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cstddef>
 #include <vector>
 
@@ -39,7 +40,16 @@ class StemAxis {
   Eigen::Vector3f pointAtHeight(float z) const;
   /// The same, for many heights that are near to one another.
   /// @param segment where to look first, any number; where it was found afterwards
-  Eigen::Vector3f pointAtHeight(float z, std::size_t& segment) const;
+  Eigen::Vector3f pointAtHeight(float z, std::size_t& segment) const {
+    std::size_t i = rising_ ? std::min(segment, nodes_.size() - 2U) : 0U;
+    while (i + 2U < nodes_.size() && nodes_[i + 1U].position.z() < z) ++i;
+    while (rising_ && i > 0U && nodes_[i].position.z() >= z) --i;
+    segment = i;
+    const Eigen::Vector3f& low = nodes_[i].position;
+    const Eigen::Vector3f step = nodes_[i + 1U].position - low;
+    if (!(step.z() > 0.0F)) return {low.x(), low.y(), z};
+    return low + (z - low.z()) / step.z() * step;
+  }
 
   /// The part of the axis below arc length `s`, which is clamped so that something remains.
   StemAxis below(float s) const;
