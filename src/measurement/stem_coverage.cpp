@@ -3,15 +3,47 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
+
+#include "field_phenotyping/common/median.hpp"
 
 namespace field_phenotyping {
 
+namespace {
+
+constexpr double kTurn = 2.0 * M_PI;
+
+/// For every angle, how many lie within `reach` of it.
+/// @param angles sorted, in [0, 2 pi)
+std::vector<double> neighbours(const std::vector<double>& angles, double reach) {
+  std::vector<double> unrolled;
+  for (const int turn : {-1, 0, 1}) {
+    for (const double angle : angles) unrolled.push_back(angle + turn * kTurn);
+  }
+  std::vector<double> counts;
+  for (const double angle : angles) {
+    const auto first = std::lower_bound(unrolled.begin(), unrolled.end(), angle - reach);
+    const auto last = std::upper_bound(first, unrolled.end(), angle + reach);
+    counts.push_back(static_cast<double>(last - first));
+  }
+  return counts;
+}
+
+}  // namespace
+
 double arcCoverage(std::vector<double> angles) {
-  constexpr double kTurn = 2.0 * M_PI;
   constexpr double kGap = 40.0 * M_PI / 180.0;
+  constexpr double kStray = 0.2;  // of the median density: the noise carries points round the ends
   if (angles.empty()) return 0.0;
   for (double& angle : angles) angle -= kTurn * std::floor(angle / kTurn);
   std::sort(angles.begin(), angles.end());
+  const std::vector<double> counts = neighbours(angles, 0.5 * kGap);
+  const double least = kStray * medianOf(counts);
+  std::vector<double> kept;
+  for (std::size_t i = 0; i < angles.size(); ++i) {
+    if (counts[i] >= least) kept.push_back(angles[i]);
+  }
+  angles = std::move(kept);
   double unseen = 0.0;
   for (std::size_t i = 0; i < angles.size(); ++i) {
     const double next = i + 1 < angles.size() ? angles[i + 1] : angles.front() + kTurn;

@@ -7,7 +7,8 @@
 namespace field_phenotyping {
 
 /// Share of the circumference that was seen: gaps of more than 40 degrees between neighbouring
-/// points count as unseen. 0 without points.
+/// points count as unseen, and points where there are five times fewer than elsewhere do not count:
+/// the noise carries some round the ends of a half-seen arc. 0 without points.
 /// @param angles [rad], any order, any turn
 double arcCoverage(std::vector<double> angles);
 
