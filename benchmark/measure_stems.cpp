@@ -229,8 +229,6 @@ json measureField(const Options& options) {
                   {"stem_points", ours.stem_points}};
       row["diameter"] = describe(ours.stem_diameter);
       row["height"] = describe(ours.height);
-      row["paper_diameter"] =
-          describe(measureStemDiameter(block, plant, paper, weakPrior(paper)).major);
       row["paper_height"] = describe(measurePlantHeight(block, plant, paper).height);
 
       const auto at = block.cloud.points.begin();

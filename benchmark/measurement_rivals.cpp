@@ -34,6 +34,11 @@ long cellOf(double x, double size) {
   return std::lround(std::floor(x / size));
 }
 
+double paperDiameter(const Points& points) {
+  const EllipseFit fit = fitAlgebraicEllipse(points);
+  return fit.valid ? 2.0 * fit.semi_major : kNone;
+}
+
 double circleDiameter(const Points& points) {
   const CircleFit fit = fitCircle(points);
   return fit.valid ? 2.0 * fit.radius : kNone;
@@ -86,6 +91,8 @@ std::vector<RivalValue> rivalDiameters(const std::vector<Eigen::Vector3d>& point
     for (const Eigen::Vector3d& point : points) {
       if (std::abs(point.z()) <= 0.5 * span) slice.emplace_back(point.head<2>());
     }
+    values.push_back(
+        {"paper mode, Eq 27", named("%.0f cm of stem", 1e2 * span, 0.0), paperDiameter(slice)});
     values.push_back({"circle", named("%.0f cm of stem", 1e2 * span, 0.0), circleDiameter(slice)});
     for (const double size : kVoxels) {
       values.push_back({"voxel",

@@ -14,6 +14,7 @@ struct RivalValue {
 };
 
 /// Stem diameters by other methods, each with all settings of a small grid:
+/// - paper mode: Eq 27 as printed;
 /// - circle: least squares of the distance to a circle;
 /// - voxel: voxels across the stem that hold points, filled in between; the circle of that area;
 /// - projection: width of the silhouette in side views, by pixels; mean or widest view.

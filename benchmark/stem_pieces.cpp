@@ -21,10 +21,10 @@ constexpr double kTaperStddev = 0.10;        // [1/m]
 constexpr double kLeafReach = 0.03;          // [m] farthest leaf point from the stem's surface
 constexpr double kLeafWidth = 0.5;           // [rad] standard deviation
 
-// The model's own priors, as fitStemCrossSection() documents them.
+// Priors of the model that are no parameters, as fitStemCrossSection() has them.
 constexpr double kPriorTilt = 0.3;
 constexpr double kPriorCurvature = 0.5;  // [1/m]
-constexpr double kPriorTaper = 0.25;     // [1/m]
+constexpr double kPriorTwist = 0.3;      // [1/m^2]
 
 /// Information of one point about a shift of the surface along its normal, its growth along it, and
 /// the logarithm of the noise.
@@ -89,10 +89,11 @@ StemPiece drawStemPiece(const PieceSettings& settings, int index) {
 
 double cramerRaoBound(const std::vector<Eigen::Vector2d>& feet, double major, double minor,
                       double noise, const CrossSectionPrior& prior) {
-  // Center, tilt and curvature (x and y each), radius, taper, ellipticity (two), log of the noise.
-  constexpr int kSize = 11;
-  constexpr int kRadius = 6;
-  constexpr int kEllipse = 8;
+  // Center, tilt, curvature, twist (x and y each), radius, taper, its change, ellipticity (two),
+  // log of the noise.
+  constexpr int kSize = 14;
+  constexpr int kRadius = 8;
+  constexpr int kEllipse = 11;
   using Information = Eigen::Matrix<double, kSize, kSize>;
   using Vector = Eigen::Matrix<double, kSize, 1>;
   const double r = 0.25 * (major + minor);
@@ -106,16 +107,18 @@ double cramerRaoBound(const std::vector<Eigen::Vector2d>& feet, double major, do
     const Eigen::Vector2d u(std::cos(foot.x()), std::sin(foot.x()));
     const Eigen::Vector2d n = (inverse * u).normalized();
     Eigen::Matrix<double, kSize, 3> jacobian = Eigen::Matrix<double, kSize, 3>::Zero();
-    jacobian.col(0).head<6>() << n, h * n, h * h * n;
-    jacobian.col(1).segment<4>(kRadius) << n.dot(u), h * n.dot(u), n.x() * u.x() - n.y() * u.y(),
-        n.x() * u.y() + n.y() * u.x();
+    jacobian.col(0).head<8>() << n, h * n, h * h * n, h * h * h * n;
+    jacobian.col(1).segment<5>(kRadius) << n.dot(u), h * n.dot(u), h * h * n.dot(u),
+        n.x() * u.x() - n.y() * u.y(), n.x() * u.y() + n.y() * u.x();
     jacobian(kSize - 1, 2) = 1.0;
     information += jacobian * local * jacobian.transpose();
   }
   Vector weight = Vector::Constant(1e-9);
   weight.segment<2>(2).setConstant(1.0 / (kPriorTilt * kPriorTilt));
   weight.segment<2>(4).setConstant(1.0 / (kPriorCurvature * kPriorCurvature));
-  weight[kRadius + 1] = 1.0 / std::pow(kPriorTaper * r, 2);
+  weight.segment<2>(6).setConstant(1.0 / (kPriorTwist * kPriorTwist));
+  weight[kRadius + 1] = 1.0 / std::pow(prior.taper.stddev * r, 2);
+  weight[kRadius + 2] = 1.0 / std::pow(prior.taper_change.stddev * r, 2);
   weight.segment<2>(kEllipse).setConstant(
       1.0 / std::pow(std::max(prior.ellipticity_stddev, 1e-4) * r, 2));
   information.diagonal() += weight;

@@ -252,7 +252,7 @@ struct MeasurementParameters {
   int min_points = 12;
   double min_arc = 0.33;
   double max_shift = 0.3;
-  double ellipticity_prior = 0.06;
+  double ellipticity_prior = 0.05;
   bool block_shape_prior = true;
   bool block_diameter_prior = false;
   double min_quality = 0.3;

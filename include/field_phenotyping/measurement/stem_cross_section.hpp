@@ -12,7 +12,7 @@ struct CrossSectionPrior {
   double noise = 0.0;  ///< of a point across the stem, one axis [m]; 0: estimated
   Trait log_noise;     ///< logarithm of that, where estimated; NaN: hardly anything is known
   Trait radius;        ///< (a + b) / 2 at height 0 [m]; NaN: from the width of the points
-  double ellipticity_stddev = 0.06;  ///< of each component of (a - b) / (a + b); 0: a circle
+  double ellipticity_stddev = 0.05;  ///< of each component of (a - b) / (a + b); 0: a circle
   Trait taper{-0.15, 0.25};          ///< relative change of radius with height [1/m]
   Trait taper_change{0.0, 0.2};      ///< relative change with the square of height [1/m^2]
 };
