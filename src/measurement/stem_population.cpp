@@ -13,6 +13,8 @@ constexpr double kMostOutliers = 0.3;    // share, in a fit that others learn fr
 constexpr double kMostPrior = 0.98;      // share of the prior in a fit beyond which it says nothing
 constexpr double kLogNoiseStddev = 1.0;  // weak prior of the stems' noise
 constexpr double kSizeStddev = 0.35;     // the same of their radius, relative to it
+
+/// What one stem's points alone say of a value.
 struct Evidence {
   double mean = 0.0;
   double variance = 0.0;
@@ -57,14 +59,14 @@ Likelihood likelihoodOf(const std::vector<Evidence>& evidence, double spread, do
   return result;
 }
 
-/// Mean over all spreads up to that of the weak prior, each as likely as it makes the evidence:
-/// with few stems, or stems of which little is known, the spread stays wide.
+/// Mean over all spreads, each as likely as it makes the evidence. They go up to sqrt(3) times that
+/// of the weak prior, so that stems that say nothing leave it as it is.
 Trait populationOf(const std::vector<Evidence>& evidence, const Trait& weak, double mean_variance) {
   constexpr int kSteps = 64;
+  const double step = std::sqrt(3.0) * weak.stddev / kSteps;
   std::vector<Likelihood> likelihoods;
   for (int i = 0; i < kSteps; ++i) {
-    likelihoods.push_back(
-        likelihoodOf(evidence, weak.stddev * (i + 0.5) / kSteps, weak.value, mean_variance));
+    likelihoods.push_back(likelihoodOf(evidence, step * (i + 0.5), weak.value, mean_variance));
   }
   const double most =
       std::max_element(likelihoods.begin(), likelihoods.end(),
@@ -76,7 +78,7 @@ Trait populationOf(const std::vector<Evidence>& evidence, const Trait& weak, dou
     const double weight = std::exp(likelihood.value - most);
     weights += weight;
     mean += weight * likelihood.mean;
-    variance += weight * (std::pow(weak.stddev * (i + 0.5) / kSteps, 2) + likelihood.mean_variance);
+    variance += weight * (std::pow(step * (i + 0.5), 2) + likelihood.mean_variance);
   }
   return {mean / weights, std::min(std::sqrt(variance / weights), weak.stddev)};
 }

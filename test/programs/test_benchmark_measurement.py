@@ -84,6 +84,16 @@ class BenchmarkMeasurement(ProgramTest):
         self.assertLess(abs(rows['this method']['bias']), 0.4e-2)
         self.assertLess(rows['this method']['rmse'], rows['circle']['rmse'])
 
+    def test_real_stems(self):
+        rows, said = self.printed(measurement_benchmark.real, clouds=('maizefield3d_T8',))
+        if not rows:
+            self.assertIn('SKIPPED', said)
+            return
+        self.assertGreater(rows['all']['n'], 20)
+        self.assertGreaterEqual(rows['all']['coverage'], 0.75)
+        self.assertLess(rows['all']['equivalent_rmse'], 10e-3)
+        self.assertGreater(rows['all']['points'], 100)
+
     def test_command_line(self):
         program = os.path.join(ROOT, 'benchmark', 'benchmark_measurement')
 

@@ -17,7 +17,7 @@ struct CrossSectionPrior {
   Trait taper_change{0.0, 0.2};      ///< relative change with the square of height [1/m^2]
 };
 
-/// Cross-section of a short piece of stem, as fitted by fitStemCrossSection(). Metres, radians; x
+/// Cross-section of a piece of stem, as fitted by fitStemCrossSection(). Metres, radians; x
 /// and y lie across the reference axis, heights along it.
 ///
 /// The surface at height h is center + h tilt + h^2 curvature + h^3 twist + (S + (h taper + h^2
@@ -60,10 +60,10 @@ struct StemCrossSection {
 /// 1982), widened where patches of the surface disagree by more, for few points, and for half-seen
 /// arcs.
 ///
-/// Weak priors keep sparse and half-seen stems sane: on size (from the width of the points), taper,
-/// tilt, curvature, noise, and ellipticity. As the larger of two noisy semi-axes reads too large,
-/// `major` is the posterior mean of 2a. Where the noise is above 0.4 of the radius only a circle is
-/// fitted, and the ellipticity is what the prior says.
+/// Priors keep sparse and half-seen stems sane: those of `prior`, weak ones by default, and weak
+/// ones on tilt, curvature and twist. As the larger of two noisy semi-axes reads too large, `major`
+/// is the posterior mean of 2a. Where the noise is above 0.4 of the radius only a circle is fitted,
+/// and the ellipticity is what the prior says.
 ///
 /// @param points (x, y, height): x, y across the reference axis [m], which need not be centred or
 ///        well aligned; height along it [m], 0 where the cross-section is wanted
