@@ -235,7 +235,8 @@ FilledStem fitLocally(const GappyStem& stem, double density, const MlsSettings& 
       tree.nearestKSearch(p, 1, index, squared);
       if (squared[0] <= static_cast<float>(4.0 * reach * reach)) kept->push_back(p);
     }
-    for (const pcl::PointXYZ& p : thin(kept, spacing)->points) {
+    const Cloud::Ptr thinned = thin(kept, spacing);
+    for (const pcl::PointXYZ& p : thinned->points) {
       tree.nearestKSearch(p, 1, index, squared);
       const bool is_new =
           squared[0] > static_cast<float>(kCoverage * kCoverage * spacing * spacing);

@@ -102,14 +102,14 @@ CloudScore scoreCloud(const std::vector<Eigen::Vector3f>& points, const TrueSurf
 SurfaceErrors surfaceErrors(const FilledStem& stem, const TrueSurface& truth) {
   SurfaceErrors errors;
   for (std::size_t i = 0; i < stem.filled.size(); ++i) {
-    const double distance = truth.distance(stem.filled[i].cast<double>());
+    const auto [distance, reference] = truth.distance(stem.filled[i].cast<double>());
     if (!std::isfinite(distance)) continue;
     ++errors.points;
     errors.squares += distance * distance;
     errors.sum += distance;
-    if (!stem.stddev.empty() && std::abs(distance) <= 1.96 * static_cast<double>(stem.stddev[i])) {
-      ++errors.covered;
-    }
+    if (stem.stddev.empty()) continue;
+    const double stddev = std::hypot(static_cast<double>(stem.stddev[i]), reference);
+    if (std::abs(distance) <= 1.96 * stddev) ++errors.covered;
   }
   return errors;
 }

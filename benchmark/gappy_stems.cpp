@@ -1,6 +1,6 @@
 #include "gappy_stems.hpp"
 
-#include <Eigen/Cholesky>
+#include <Eigen/LU>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -100,7 +100,9 @@ TrueSurface exactSurface(const Stem& stem) {
       surface.cell_area[surface.cell.back()] += perimeter / sides * ring_length;
     }
   }
-  surface.distance = [stem](const Vector3d& point) { return stem.signedDistance(point); };
+  surface.distance = [stem](const Vector3d& point) {
+    return SurfaceDistance{stem.signedDistance(point), 0.0};
+  };
   return surface;
 }
 
@@ -119,43 +121,57 @@ StemAxis segmentedAxis(const Stem& stem, RandomStream& random) {
 }
 
 /// The undamaged stem as measured, on the unrolled stem: a plane through the points near a place,
-/// as real scanners have noise too.
-class MeasuredSurface {
+/// as real scanners have noise too; its own standard deviation is from their scatter. It is known
+/// where points were cut out: beside those that were left, what is filled in has no measured point
+/// of its own to be compared with.
+class UndamagedSurface {
  public:
-  MeasuredSurface(StemFrame frame, const std::vector<UnrolledPoint>& points, double radius)
-      : frame_(std::move(frame)), points_(points) {
+  UndamagedSurface(StemFrame frame, const std::vector<UnrolledPoint>& points,
+                   std::vector<char> is_cut, double radius)
+      : frame_(std::move(frame)), points_(points), is_cut_(std::move(is_cut)) {
     std::vector<SurfacePosition> positions;
     for (const UnrolledPoint& p : points) positions.push_back({p.theta, p.s});
     index_ = SurfaceIndex(positions, radius);
   }
 
-  double distance(const Vector3d& at) const {
+  SurfaceDistance distance(const Vector3d& at) const {
     constexpr double kReach = 0.006;  // [m]
     constexpr double kKnown = 0.004;  // [m] nothing is known farther from every measured point
     constexpr int kEnough = 6;
+    constexpr int kUnknowns = 3;  // of a plane
     const UnrolledPoint p = frame_.unroll(at);
     double nearest = kReach * kReach;
+    bool was_cut = false;
     int count = 0;
     Eigen::Matrix3d squares = 1e-12 * Eigen::Matrix3d::Identity();
     Vector3d sums = Vector3d::Zero();
+    double square_sum = 0.0;
     index_.forEachWithin({p.theta, p.s}, kReach, [&](std::uint32_t i, double squared_distance) {
       const UnrolledPoint& q = points_[i];
       const Vector3d row(1.0, std::remainder(q.theta - p.theta, 2.0 * kPi) * index_.radius(),
                          q.s - p.s);
       squares += row * row.transpose();
-      sums += q.r * row;
-      nearest = std::min(nearest, squared_distance);
+      sums += (q.r - p.r) * row;
+      square_sum += (q.r - p.r) * (q.r - p.r);
+      if (squared_distance < nearest) {
+        nearest = squared_distance;
+        was_cut = is_cut_[i] != 0;
+      }
       ++count;
     });
-    if (count < kEnough || nearest > kKnown * kKnown) {
-      return std::numeric_limits<double>::quiet_NaN();
+    if (!was_cut || count < kEnough || nearest > kKnown * kKnown) {
+      return {std::numeric_limits<double>::quiet_NaN(), 0.0};
     }
-    return p.r - squares.ldlt().solve(sums)[0];
+    const Eigen::Matrix3d inverse = squares.inverse();
+    const Vector3d plane = inverse * sums;
+    const double scatter = std::max(square_sum - plane.dot(sums), 0.0) / (count - kUnknowns);
+    return {-plane[0], std::sqrt(scatter * inverse(0, 0))};
   }
 
  private:
   StemFrame frame_;
   std::vector<UnrolledPoint> points_;
+  std::vector<char> is_cut_;
   SurfaceIndex index_;
 };
 
@@ -184,7 +200,7 @@ TrueSurface forkedSurface(const Stem& stem, const Damage& damage) {
   surface.distance = [stem, damage](const Vector3d& point) {
     const double left = stem.signedDistance(point - forkShift(damage, stem, point.z(), true));
     const double right = stem.signedDistance(point - forkShift(damage, stem, point.z(), false));
-    return std::abs(left) < std::abs(right) ? left : right;
+    return SurfaceDistance{std::abs(left) < std::abs(right) ? left : right, 0.0};
   };
   return surface;
 }
@@ -277,6 +293,7 @@ GappyStem realStem(const std::string& path, std::uint64_t seed, const Damage& da
   RandomStream random(seed, Stream::kDropout, 0U);
   const Mask mask(damage, frame.length(), random);
   std::map<std::pair<long, long>, std::uint32_t> cells;
+  std::vector<char> is_cut;
   for (std::size_t k = 0; k < whole.size(); ++k) {
     const UnrolledPoint& p = whole[k];
     const Eigen::Vector3f& point = cloud.points[found.plant->stem.begin + k];
@@ -287,9 +304,10 @@ GappyStem realStem(const std::string& path, std::uint64_t seed, const Damage& da
     if (is_new) result.truth.cell_area.push_back(2.0 * kPi * radius / columns * kCell);
     result.truth.samples.push_back(point.cast<double>());
     result.truth.cell.push_back(cell->second);
-    if (!mask.hides(p.s, p.theta, random)) result.cloud.points.push_back(point);
+    is_cut.push_back(mask.hides(p.s, p.theta, random) ? 1 : 0);
+    if (is_cut.back() == 0) result.cloud.points.push_back(point);
   }
-  const auto surface = std::make_shared<MeasuredSurface>(frame, whole, radius);
+  const auto surface = std::make_shared<UndamagedSurface>(frame, whole, std::move(is_cut), radius);
   result.truth.distance = [surface](const Vector3d& at) { return surface->distance(at); };
   return result;
 }

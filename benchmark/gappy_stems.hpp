@@ -12,13 +12,18 @@
 
 namespace field_phenotyping::benchmark {
 
+/// Of a point from a surface [m].
+struct SurfaceDistance {
+  double value = 0.0;   ///< positive outside; NaN where nobody knows
+  double stddev = 0.0;  ///< of the surface itself, where it was measured
+};
+
 /// The surface of a stem as it truly is. Metres, in the local frame of the stem's cloud.
 struct TrueSurface {
   std::vector<Eigen::Vector3d> samples;  ///< all over it, about every 2 mm
   std::vector<std::uint32_t> cell;       ///< of each sample: a piece of about 1 cm x 1 cm
   std::vector<double> cell_area;         ///< [m^2]
-  /// Signed distance of a point from the surface, positive outside; NaN where nobody knows.
-  std::function<double(const Eigen::Vector3d&)> distance;
+  std::function<SurfaceDistance(const Eigen::Vector3d&)> distance;
 };
 
 /// What completion is given of a stem, and the truth about it.
@@ -59,7 +64,7 @@ struct SimulatedStems {
 GappyStem simulatedStem(const SimulatedStems& settings, int index, const Damage& damage);
 
 /// A stem of the plant in a cloud of one real plant, as our own segmentation finds it; the
-/// undamaged stem stands for the true surface.
+/// undamaged stem stands for the true surface, known where points were cut out.
 /// @throws std::runtime_error when the file cannot be read or shows no stem
 GappyStem realStem(const std::string& path, std::uint64_t seed, const Damage& damage);
 

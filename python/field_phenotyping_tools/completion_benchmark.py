@@ -222,15 +222,22 @@ def _print_methods(title, rows, paper=False):
     return figures_of
 
 
-def real(bench, _folder):
-    """Real stems with pieces cut out."""
+def real(bench, _folder, clouds=REAL_CLOUDS, rivals=True):
+    """Real stems with pieces cut out.
+
+    Filled points are judged where points were cut out, by a plane through the points that were
+    there, whose own standard deviation counts in the coverage.
+    """
     data = real_data()
     if data is None:
         return {}
-    clouds = [os.path.join(data, name + '.pcd') for name in REAL_CLOUDS]
+    paths = [os.path.join(data, name + '.pcd') for name in clouds]
     bench.progress('real')
-    rows = complete(bench, '--rivals', '--real', *clouds)
+    only = ['--rivals'] if rivals else []
+    rows = complete(bench, '--repeats', 1 if not rivals else 5, *only, '--real', *paths)
     figures = _print_gaps('{} real stems with pieces cut out'.format(len(clouds)), rows)
+    if not rivals:
+        return {'gaps': figures}
     return {'gaps': figures, 'methods': _print_methods('the same real stems, all gaps', rows)}
 
 

@@ -4,6 +4,9 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <utility>
+
+#include "field_phenotyping/common/median.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -35,6 +38,15 @@ struct RowEnds {
   double low = std::numeric_limits<double>::max();
   double high = std::numeric_limits<double>::lowest();
 };
+
+/// @param in_slice, turn shares of the slice's length and of the circumference
+std::size_t patchIndex(long number, double in_slice, double turn) {
+  constexpr int kRows = MeasuredSurface::kPatchRows;
+  constexpr int kColumns = MeasuredSurface::kPatchColumns;
+  const int row = std::clamp(static_cast<int>(in_slice * kRows), 0, kRows - 1);
+  const int column = std::clamp(static_cast<int>(turn * kColumns), 0, kColumns - 1);
+  return static_cast<std::size_t>((number * kRows + row) * kColumns + column);
+}
 
 }  // namespace
 
@@ -74,6 +86,8 @@ MeasuredSurface::MeasuredSurface(const PointCloud& cloud, IndexSpan stem, const 
   std::vector<Sums> sums(slices_.size() * cells_a_slice);
   std::vector<Eigen::Vector3f> colors(has_colors_ ? sums.size() : 0U, Eigen::Vector3f::Zero());
   std::vector<RowEnds> ends(slices_.size() * static_cast<std::size_t>(rows_));
+  patches_.resize(slices_.size() * kPatchRows * kPatchColumns);
+  const double most_deviation = prior.meanRadius();
   lowest_ = std::numeric_limits<double>::max();
   highest_ = std::numeric_limits<double>::lowest();
 
@@ -96,11 +110,18 @@ MeasuredSurface::MeasuredSurface(const PointCloud& cloud, IndexSpan stem, const 
     Slice& slice = slices_[static_cast<std::size_t>(number)];
     slice.hash += hashOf(cloud.points[i], has_colors_ ? cloud.colors[i] : 0U);
     ++slice.points;
+    const double in_slice = (unrolled.s - sliceBegin(prior, number + first_slice_)) / kSliceLength;
+    const double turn = (unrolled.theta + kPi) / (2.0 * kPi);
+    Patch& patch = patches_[patchIndex(number, in_slice, turn)];
+    const double limited = std::clamp(residual.deviation, -most_deviation, most_deviation);
+    patch.points += 1.0;
+    patch.sum += limited;
+    patch.squares += limited * limited;
     if (!p.on_surface) continue;
     ++slice.on_surface;
 
-    const double up = (unrolled.s - sliceBegin(prior, number + first_slice_)) / rowHeight();
-    const double round = (unrolled.theta + kPi) / turn_a_column;
+    const double up = in_slice * rows_;
+    const double round = turn * columns_;
     const int row = std::clamp(static_cast<int>(up), 0, rows_ - 1);
     const int column = std::clamp(static_cast<int>(round), 0, columns_ - 1);
     const std::size_t row_index =
@@ -145,6 +166,13 @@ MeasuredSurface::MeasuredSurface(const PointCloud& cloud, IndexSpan stem, const 
         slices_[number].on_surface + (number > 0U ? slices_[number - 1U].places_end : 0U);
   }
 
+  for (const Patch& patch : patches_) {
+    whole_.points += patch.points;
+    whole_.sum += patch.sum;
+    whole_.squares += patch.squares;
+  }
+  estimateNoise(prior);
+
   places_.resize(slices_.back().places_end);
   std::vector<std::size_t> next;
   for (const Slice& slice : slices_) next.push_back(slice.places_end - slice.on_surface);
@@ -153,6 +181,78 @@ MeasuredSurface::MeasuredSurface(const PointCloud& cloud, IndexSpan stem, const 
     const long number = sliceAt(prior, p.position.s) - first_slice_;
     places_[next[static_cast<std::size_t>(number)]++] = p.position;
   }
+}
+
+std::vector<float> MeasuredSurface::differencesWithin(double width,
+                                                      const SurfacePrior& prior) const {
+  constexpr std::size_t kMostPoints = 16000;
+  const std::size_t stride = 1U + points_.size() / kMostPoints;
+  const auto rows = static_cast<long>(std::ceil(kSliceLength / width));
+  const auto columns = std::max(3L, std::lround(2.0 * kPi * prior.meanRadius() / width));
+  const float none = std::numeric_limits<float>::quiet_NaN();
+  std::vector<float> last(slices_.size() * static_cast<std::size_t>(rows * columns), none);
+  std::vector<float> differences;
+  for (const Point& p : points_) {
+    if (!p.on_surface) continue;
+    // Of a stem with many points some slices will do.
+    const long number = sliceAt(prior, p.position.s) - first_slice_;
+    if (static_cast<std::size_t>(number) % stride != 0U) continue;
+    const double above = p.position.s - sliceBegin(prior, number + first_slice_);
+    const auto row = std::clamp(static_cast<long>(above / width), 0L, rows - 1L);
+    const double turn = (p.position.theta + kPi) / (2.0 * kPi);
+    const auto column =
+        std::clamp(static_cast<long>(turn * static_cast<double>(columns)), 0L, columns - 1L);
+    const auto cell = [&](long r, long c) -> float& {
+      return last[static_cast<std::size_t>((number * rows + r) * columns + c % columns)];
+    };
+    float& beside = std::isnan(cell(row, column + 1L)) && row + 1L < rows ? cell(row + 1L, column)
+                                                                          : cell(row, column + 1L);
+    if (std::isnan(beside)) {
+      cell(row, column) = p.deviation;
+    } else {
+      differences.push_back(std::abs(p.deviation - beside));
+      beside = none;
+    }
+  }
+  return differences;
+}
+
+void MeasuredSurface::estimateNoise(const SurfacePrior& prior) {
+  constexpr std::size_t kEnough = 60;  // pairs
+  constexpr double kLeast = 0.005;  // [m] clouds are thinned: points nearer to one another across
+                                    // the stem than its voxels differ all the more along it
+  constexpr double kWidest = 2.0;   // times as much
+  constexpr double kMadToSigma = 1.4826;
+  constexpr double kRelativeError = 1.65;  // of the square, for one pair
+  const auto varianceOf = [&](std::vector<float> differences) {
+    const double sigma = kMadToSigma * static_cast<double>(medianOf(std::move(differences)));
+    return 0.5 * sigma * sigma;
+  };
+  noise_variance_ = prior.noise() * prior.noise();
+  for (double width = kLeast; width <= kWidest * kLeast; width *= 2.0) {
+    std::vector<float> near = differencesWithin(width, prior);
+    if (near.size() < kEnough) continue;
+    // What still grows with the distance is shape: noise is what is left at no distance.
+    std::vector<float> far = differencesWithin(2.0 * width, prior);
+    const double near_share = kRelativeError / std::sqrt(static_cast<double>(near.size()));
+    const double far_share = kRelativeError / std::sqrt(static_cast<double>(far.size()));
+    const double near_variance = varianceOf(std::move(near));
+    const double far_variance = varianceOf(std::move(far));
+    const double larger = std::max(near_variance, far_variance);
+    const double growth = far_variance - near_variance - larger * std::hypot(near_share, far_share);
+    noise_variance_ = std::max(near_variance - std::max(growth, 0.0), 0.0);
+    noise_variance_error_ = larger * std::hypot(growth > 0.0 ? 2.0 * near_share : near_share,
+                                                growth > 0.0 ? far_share : 0.0);
+    return;
+  }
+}
+
+MeasuredSurface::Patch MeasuredSurface::patch(long slice, int row, int column) const {
+  const long rows = (slice - first_slice_) * kPatchRows + row;
+  const int turned = (column % kPatchColumns + kPatchColumns) % kPatchColumns;
+  const long index = rows * kPatchColumns + turned;
+  if (rows < 0 || index >= static_cast<long>(patches_.size())) return {};
+  return patches_[static_cast<std::size_t>(index)];
 }
 
 std::size_t MeasuredSurface::indexOf(long slice) const {

@@ -48,6 +48,7 @@ struct StemState {
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();
   std::vector<double> settings;  ///< all that regions share
   std::array<double, 2> ellipse{};
+  ScatterModel scatter;
   std::map<long, std::shared_ptr<const SolvedRegion>> regions;
 };
 
@@ -163,12 +164,23 @@ bool isSame(const SolvedRegion& a, const SolvedRegion& b) {
   return true;
 }
 
+/// Whether standard deviations by either differ little.
+bool isAbout(const ScatterModel& a, const ScatterModel& b) {
+  constexpr double kShare = 0.2;   // of the variances
+  constexpr double kLeast = 1e-8;  // [m^2]
+  const double close = kShare * (a.noise + a.misfit) + kLeast;
+  return std::abs(a.noise - b.noise) < close && std::abs(a.misfit - b.misfit) < close;
+}
+
 /// All that the regions share, beside the coarse model.
 std::vector<double> settingsOf(const StemModel& model) {
   return {model.density,
           model.prior_weight,
           model.smoothing,
           model.max_stddev,
+          model.scatter.noise,
+          model.scatter.noise_error,
+          model.scatter.misfit,
           model.lattice.row_height,
           static_cast<double>(model.lattice.columns),
           model.surface.kernel_scale,
@@ -250,6 +262,16 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
   model.surface.amplitude = levelled(
       amplitudeOf(thinSamples(surfaceSamples(measured, parameters.prior_weight), model.lattice),
                   parameters.prior_weight * prior->noise()));
+  const double amplitude =
+      model.surface.amplitude / std::max(parameters.prior_weight, kLeastPriorWeight);
+  model.scatter = {measured.noiseVariance(), measured.noiseVarianceError(), 0.0};
+  model.scatter.misfit =
+      std::max(model.scatter.beyondNoise(measured.whole().points, measured.whole().squares) -
+                   amplitude * amplitude,
+               0.0);
+  if (previous != nullptr && isAbout(previous->scatter, model.scatter)) {
+    model.scatter = previous->scatter;
+  }
   model.surface.center_area =
       model.lattice.row_height * kTwoPi * levelled(prior->meanRadius()) / model.lattice.columns;
 
@@ -258,6 +280,7 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
   state->origin = cloud.origin;
   state->settings = settingsOf(model);
   state->ellipse = prior->ellipse();
+  state->scatter = model.scatter;
   const bool may_take_over = previous != nullptr && previous->origin == cloud.origin &&
                              previous->settings == state->settings &&
                              std::hypot(previous->ellipse[0] - state->ellipse[0],

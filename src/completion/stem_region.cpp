@@ -27,7 +27,8 @@ class CoarseMap {
  public:
   struct Node {
     double deviation = 0.0;  ///< from the prior [m]
-    double variance = 0.0;   ///< of the surface [m^2]
+    double variance = 0.0;   ///< of the surface as far as the model goes [m^2]
+    double misfit = 0.0;     ///< of what is finer than the model [m^2]
     Eigen::Vector3f rgb = Eigen::Vector3f::Zero();
   };
 
@@ -78,6 +79,16 @@ class CoarseMap {
     return row;
   }
 
+  /// Sets the misfit of each node to misfitAt(its place).
+  template <class MisfitAt>
+  void setMisfit(const MisfitAt& misfitAt) {
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      const auto column = static_cast<double>(i % kMapColumns);
+      const auto row = static_cast<double>(i / kMapColumns);
+      nodes_[i].misfit = misfitAt({2.0 * kPi * column / kMapColumns - kPi, begin_ + row * step_});
+    }
+  }
+
   Node at(const SurfacePosition& place) const { return rowAt(place.s).at(place.theta); }
 
  private:
@@ -85,6 +96,7 @@ class CoarseMap {
     Node node;
     node.deviation = a.deviation + share * (b.deviation - a.deviation);
     node.variance = a.variance + share * (b.variance - a.variance);
+    node.misfit = a.misfit + share * (b.misfit - a.misfit);
     if (has_colors) node.rgb = a.rgb + static_cast<float>(share) * (b.rgb - a.rgb);
     return node;
   }
@@ -152,8 +164,9 @@ class RegionSolver {
     }
     const RbfSurface surface(thinSamples(samples_, model_.lattice), model_.prior.meanRadius(),
                              model_.surface);
-    const CoarseMap map(begin_, end_, model_.measured.hasColors(),
-                        [&](const SurfacePosition& place) { return describe(surface, place); });
+    CoarseMap map(begin_, end_, model_.measured.hasColors(),
+                  [&](const SurfacePosition& place) { return describe(surface, place); });
+    setMisfit(map);
     fill(map);
     repair(map);
     smooth(map);
@@ -214,15 +227,64 @@ class RegionSolver {
         nearest.count > 0 ? std::exp(-2.0 * nearest.squared_distance[0] / (width * width)) : 0.0;
     const double amplitude = model_.surface.amplitude;
     const double bias = model_.prior.noiseBias(place.s);
-    // Eq 20 leaves out a share of what deviates from the prior, wherever it was measured.
-    const double left_out = (1.0 - model_.prior_weight) / std::max(model_.prior_weight, 0.1);
-    node.variance = model_.prior.variance(place.theta, place.s) +
-                    amplitude * amplitude * (1.0 - known + left_out * left_out) +
+    // Of what deviates from the prior Eq 20 leaves out a share wherever it was measured, and all of
+    // it is unknown where nothing was.
+    const double weight = std::max(model_.prior_weight, kLeastPriorWeight);
+    const double left_out = (1.0 - model_.prior_weight) / weight;
+    const double unknown = known * left_out * left_out + (1.0 - known) / (weight * weight);
+    node.variance = model_.prior.variance(place.theta, place.s) + amplitude * amplitude * unknown +
                     0.25 * bias * bias;
     if (model_.measured.hasColors()) {
       node.rgb = blendColors(cells_, index_of_cells_.nearest<kColorNeighbors>(place));
     }
     return node;
+  }
+
+  /// What the points, leaf bases among them, scatter about the surface beyond the sensor's noise:
+  /// of each patch and those round it, and of the stem as much as a few points have.
+  void setMisfit(CoarseMap& map) const {
+    constexpr int kRows = MeasuredSurface::kPatchRows * static_cast<int>(kSlicesPerRegion);
+    constexpr int kColumns = MeasuredSurface::kPatchColumns;
+    constexpr double kOfStem = 10.0;  // points
+    constexpr double kHeight = kRegionLength / kRows;
+    const MeasuredSurface& measured = model_.measured;
+    const double weight = std::max(model_.prior_weight, kLeastPriorWeight);
+    std::array<MeasuredSurface::Patch, (kRows + 2) * kColumns> patches;
+    for (int row = -1; row <= kRows; ++row) {
+      const CoarseMap::Row surface = map.rowAt(begin_ + (row + 0.5) * kHeight);
+      for (int column = 0; column < kColumns; ++column) {
+        MeasuredSurface::Patch patch = measured.patch(kSlicesPerRegion * index_, row, column);
+        const double deviation =
+            surface.at(2.0 * kPi * (column + 0.5) / kColumns - kPi).deviation / weight;
+        patch.squares += deviation * (patch.points * deviation - 2.0 * patch.sum);
+        patches[static_cast<std::size_t>((row + 1) * kColumns + column)] = patch;
+      }
+    }
+    std::array<double, kRows * kColumns> misfit{};
+    for (int row = 0; row < kRows; ++row) {
+      for (int column = 0; column < kColumns; ++column) {
+        double points = 0.0;
+        double squares = 0.0;
+        for (int r = row - 1; r <= row + 1; ++r) {
+          for (int c = column - 1; c <= column + 1; ++c) {
+            const int turned = (c + kColumns) % kColumns;
+            const auto& patch = patches[static_cast<std::size_t>((r + 1) * kColumns + turned)];
+            points += patch.points;
+            squares += patch.squares;
+          }
+        }
+        misfit[static_cast<std::size_t>(row * kColumns + column)] =
+            (points * model_.scatter.beyondNoise(points, squares) +
+             kOfStem * model_.scatter.misfit) /
+            (points + kOfStem);
+      }
+    }
+    map.setMisfit([&](const SurfacePosition& place) {
+      const auto row = static_cast<int>((place.s - begin_) / kHeight);
+      const auto column = static_cast<int>((place.theta + kPi) / (2.0 * kPi) * kColumns);
+      return misfit[static_cast<std::size_t>(std::clamp(row, 0, kRows - 1) * kColumns +
+                                             std::clamp(column, 0, kColumns - 1))];
+    });
   }
 
   FillRange range() const {
@@ -268,7 +330,7 @@ class RegionSolver {
       }
       const CoarseMap::Node node = row.at(place.theta);
       if (isKnown(node)) {
-        filled_.push_back({place, node.deviation, node.variance});
+        filled_.push_back({place, node.deviation, node.variance + node.misfit});
       } else {
         ++region_.uncertain;
       }
@@ -298,7 +360,7 @@ class RegionSolver {
         const CoarseMap::Node node = map.at(point.position);
         if (!mayFill(point.position.s) || !isKnown(node)) continue;
         if (!(std::abs(point.deviation) <= most_deviation)) continue;
-        point.variance = node.variance;
+        point.variance = node.variance + node.misfit;
         repaired.push_back(point);
       }
     }
@@ -406,6 +468,13 @@ class RegionSolver {
 };
 
 }  // namespace
+
+double ScatterModel::beyondNoise(double points, double squares) const {
+  constexpr double kSignificant = 0.5;  // standard errors
+  if (!(points > 1.0)) return 0.0;
+  const double error = std::hypot(noise * std::sqrt(2.0 / points), noise_error);
+  return std::max(squares / points - noise - kSignificant * error, 0.0);
+}
 
 long regionAt(const SurfacePrior& prior, double s) {
   const long slice = sliceAt(prior, s);

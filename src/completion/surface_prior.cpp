@@ -46,7 +46,7 @@ constexpr double kEllipticity = 0.05;   // amplitude of cos 2 theta, share of th
 // What still passes as a stem.
 constexpr double kMinRadiusRatio = 0.4;  // of the radius as segmented
 constexpr double kMaxRadiusRatio = 2.5;
-constexpr double kMaxNoiseRatio = 0.7;  // noise over radius
+constexpr double kMaxNoiseRatio = 0.6;  // noise over radius: beyond it the fit drifts outwards
 constexpr double kMinInlierShare = 0.4;
 
 double quantile(std::vector<double> values, double share) {

@@ -48,6 +48,16 @@ class BenchmarkCompletion(ProgramTest):
             self.assertGreater(rows[method]['rmse'], rows['ours']['rmse'], method)
             self.assertIn(method + ',', said)
 
+    def test_real_stems(self):
+        if benchmarks.real_data() is None:
+            self.skipTest('the real clouds are not there')
+        clouds = ('label3dmaize_v-9-3', 'mospc_mid_1', 'mospc_small_1')
+        rows, _ = self.printed(completion_benchmark.real, clouds=clouds, rivals=False)
+        self.assertGreaterEqual(rows['gaps']['all']['coverage'], 0.85)
+        for damage in ('gap 5 cm', 'gap 10 cm', 'gap 20 cm', '50 % thinned'):
+            self.assertGreaterEqual(rows['gaps'][damage]['coverage'], 0.90, damage)
+        self.assertNotIn('rmse', rows['gaps']['as seen'])  # nothing was cut out
+
     def test_odd_stems(self):
         rows, _ = self.printed(completion_benchmark.odd, stems=3)
         for name, row in rows.items():

@@ -44,6 +44,16 @@ class MeasuredSurface {
     std::size_t places_end = 0U;  ///< its places, likewise
   };
 
+  /// Points in a piece of the surface of 2 cm by a sixth of the circumference, on the surface or
+  /// not: what they say about how well the coarse model describes the stem there.
+  struct Patch {
+    double points = 0.0;
+    double sum = 0.0;      ///< of the deviations, limited to one radius [m]
+    double squares = 0.0;  ///< of their squares [m^2]
+  };
+  static constexpr int kPatchRows = 3;  ///< of a slice
+  static constexpr int kPatchColumns = 6;
+
   /// @param cell about how long and wide cells are [m]
   MeasuredSurface(const PointCloud& cloud, IndexSpan stem, const SurfacePrior& prior, double cell);
 
@@ -64,6 +74,18 @@ class MeasuredSurface {
   /// Indices of the places of slices [first, last).
   std::pair<std::size_t, std::size_t> placesOf(long first, long last) const;
 
+  /// @param row from the slice's lower end; may lie in another slice
+  /// @param column from theta = -pi; any number
+  Patch patch(long slice, int row, int column) const;
+
+  /// Squared standard deviation of one point that is the sensor's alone: by which points that lie
+  /// next to one another differ, the coarse model being right or wrong [m^2].
+  double noiseVariance() const { return noise_variance_; }
+  /// Standard error of that [m^2].
+  double noiseVarianceError() const { return noise_variance_error_; }
+  /// All patches as one.
+  const Patch& whole() const { return whole_; }
+
   double rowHeight() const { return kSliceLength / rows_; }  ///< of the cells [m]
   int rowsPerSlice() const { return rows_; }
   int columns() const { return columns_; }
@@ -77,12 +99,19 @@ class MeasuredSurface {
 
  private:
   std::size_t indexOf(long slice) const;
+  /// By how much pairs of points in cells of a width [m] that lie side by side differ.
+  std::vector<float> differencesWithin(double width, const SurfacePrior& prior) const;
+  void estimateNoise(const SurfacePrior& prior);
 
   std::vector<Point> points_;
   std::vector<Cell> cells_;
   std::vector<SurfacePosition> places_;
   std::vector<Slice> slices_;
   std::vector<double> row_ends_;
+  std::vector<Patch> patches_;
+  Patch whole_;
+  double noise_variance_ = 0.0;
+  double noise_variance_error_ = 0.0;
   bool has_colors_ = false;
   long first_slice_ = 0;
   int rows_ = 1;

@@ -17,13 +17,29 @@ constexpr long kSlicesPerRegion = 2;  ///< a region is solved at a time; points 
                                       ///< below it to the one above
 constexpr double kRegionLength = kSlicesPerRegion * kSliceLength;  ///< [m]
 
+constexpr double kLeastPriorWeight = 0.1;  ///< deviations are scaled back from alpha by no less
+
+/// How the points of a stem scatter about its model. Estimates, so that a stem that is completed
+/// again keeps them until they are clearly others.
+struct ScatterModel {
+  double noise = 0.0;        ///< the sensor's variance [m^2]
+  double noise_error = 0.0;  ///< standard error of that [m^2]
+  double misfit = 0.0;       ///< variance that is the stem's own, finer than the model [m^2]
+
+  /// What points scatter beyond the sensor's noise, less half a standard error of either [m^2]:
+  /// where there are few points it says nothing.
+  /// @param squares sum of their squared distances from the surface [m^2]
+  double beyondNoise(double points, double squares) const;
+};
+
 /// What all regions of a stem share: the coarse model and how finely it is solved. Read-only.
 struct StemModel {
   const SurfacePrior& prior;
   const MeasuredSurface& measured;
   const GroundModel& ground;
-  FillRange range = {};       ///< what may be filled
-  double density = 0.0;       ///< [1/m^2]
+  FillRange range = {};  ///< what may be filled
+  double density = 0.0;  ///< [1/m^2]
+  ScatterModel scatter = {};
   double prior_weight = 0.0;  ///< alpha of Eq 20
   double smoothing = 0.0;     ///< sigma_s of Eq 25 [m]
   double max_stddev = 0.0;    ///< [m]
