@@ -47,6 +47,8 @@ void checkConsistency(const CompletedBlock& block) {
           "synthetic_stddev is not one a point");
   require(block.synthetic_span.size() == block.segmented->plants.size(),
           "synthetic_begin and synthetic_end are not one a plant");
+  require(block.stems.empty() || block.stems.size() == block.segmented->plants.size(),
+          "completion_flags is not one a plant");
   for (const IndexSpan& span : block.synthetic_span) {
     require(within(span, block.synthetic.size()), "synthetic points lie outside the cloud");
   }

@@ -7,6 +7,7 @@
 #include <ros/serialization.h>
 #include <std_msgs/Header.h>
 
+#include <algorithm>
 #include <memory>
 #include <vector>
 
@@ -344,17 +345,26 @@ struct Serializer<field_phenotyping::CompletedBlock>
     stream.next(block.synthetic_stddev);
     stream.next(begin);
     stream.next(end);
+    std::vector<std::uint8_t> flags(begin.size(), 0U);
+    for (std::size_t i = 0; i < std::min(flags.size(), block.stems.size()); ++i) {
+      flags[i] = block.stems[i].flags;
+    }
+    stream.next(flags);
   }
   template <class Stream>
   static void read(Stream& stream, field_phenotyping::CompletedBlock& block) {
     auto segmented = std::make_shared<field_phenotyping::SegmentedBlock>();
     std::vector<std::uint32_t> begin, end;
+    std::vector<std::uint8_t> flags;
     stream.next(*segmented);
     stream.next(block.synthetic);
     stream.next(block.synthetic_stddev);
     stream.next(begin);
     stream.next(end);
+    stream.next(flags);
     block.segmented = std::move(segmented);
+    block.stems.resize(flags.size());
+    for (std::size_t i = 0; i < flags.size(); ++i) block.stems[i].flags = flags[i];
     block.synthetic_span.resize(begin.size());
     end.resize(begin.size());
     for (std::size_t i = 0; i < begin.size(); ++i) block.synthetic_span[i] = {begin[i], end[i]};

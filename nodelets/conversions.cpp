@@ -10,6 +10,8 @@
 
 #include "cloud_decoder.hpp"
 
+#include "field_phenotyping/completion/completion_flags.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -34,6 +36,12 @@ static_assert(std::uint32_t{PlantPhenotype::OK} == kOk &&
                   std::uint32_t{PlantPhenotype::PRIOR_DRIVEN} == kPriorDriven &&
                   std::uint32_t{PlantPhenotype::MERGED_SUSPECT} == kMergedSuspect,
               "the constants of PlantPhenotype.msg must equal QualityFlag");
+static_assert(std::uint8_t{PlantPhenotype::COMPLETION_TOO_FEW_POINTS} == kCompletionTooFewPoints &&
+                  std::uint8_t{PlantPhenotype::COMPLETION_NO_SURFACE} == kCompletionNoSurface &&
+                  std::uint8_t{PlantPhenotype::COMPLETION_OPEN_GAP} == kCompletionOpenGap &&
+                  std::uint8_t{PlantPhenotype::COMPLETION_UNCERTAIN} == kCompletionUncertain &&
+                  std::uint8_t{PlantPhenotype::COMPLETION_SEEN_EMPTY} == kCompletionSeenEmpty,
+              "the constants of PlantPhenotype.msg must equal CompletionFlag");
 
 std::string formatted(const char* format, double value) {
   std::array<char, 32> text{};
@@ -114,6 +122,7 @@ PlantPhenotype toMessage(const Phenotype& plant) {
   message.plant_points = plant.plant_points;
   message.diameter_points = plant.diameter_points;
   message.synthetic_points = plant.synthetic_points;
+  message.completion_flags = plant.completion_flags;
   message.segmentation_quality = plant.segmentation_quality;
   message.growth_iterations = plant.growth_iterations;
   message.growth_r1 = plant.growth_r1;
@@ -151,6 +160,7 @@ Phenotype fromMessage(const PlantPhenotype& message) {
   plant.plant_points = message.plant_points;
   plant.diameter_points = message.diameter_points;
   plant.synthetic_points = message.synthetic_points;
+  plant.completion_flags = message.completion_flags;
   plant.segmentation_quality = message.segmentation_quality;
   plant.growth_iterations = message.growth_iterations;
   plant.growth_r1 = message.growth_r1;
@@ -189,6 +199,7 @@ struct DisplayPoint {
   float x, y, z;
   std::uint32_t rgb;
   std::int32_t plant_id;
+  float stddev;
 };
 
 PointField displayField(const char* name, std::size_t offset, std::uint8_t datatype) {
@@ -204,10 +215,11 @@ PointField displayField(const char* name, std::size_t offset, std::uint8_t datat
 
 DisplayCloud::DisplayCloud(std::size_t stride) : stride_(std::max<std::size_t>(stride, 1U)) {}
 
-void DisplayCloud::add(const Eigen::Vector3d& point, std::uint32_t rgb, std::int32_t plant_id) {
+void DisplayCloud::add(const Eigen::Vector3d& point, std::uint32_t rgb, std::int32_t plant_id,
+                       float stddev) {
   if (offered_++ % stride_ != 0U) return;
   const Eigen::Vector3f p = point.cast<float>();
-  const DisplayPoint entry{p.x(), p.y(), p.z(), rgb, plant_id};
+  const DisplayPoint entry{p.x(), p.y(), p.z(), rgb, plant_id, stddev};
   data_.resize(data_.size() + sizeof(entry));
   std::memcpy(data_.data() + data_.size() - sizeof(entry), &entry, sizeof(entry));
   ++points_;
@@ -222,7 +234,8 @@ PointCloud2 DisplayCloud::message(const std_msgs::Header& header) const {
                     displayField("y", offsetof(DisplayPoint, y), PointField::FLOAT32),
                     displayField("z", offsetof(DisplayPoint, z), PointField::FLOAT32),
                     displayField("rgb", offsetof(DisplayPoint, rgb), PointField::FLOAT32),
-                    displayField("plant_id", offsetof(DisplayPoint, plant_id), PointField::INT32)};
+                    displayField("plant_id", offsetof(DisplayPoint, plant_id), PointField::INT32),
+                    displayField("stddev", offsetof(DisplayPoint, stddev), PointField::FLOAT32)};
   message.is_bigendian = hostIsBigEndian();
   message.point_step = sizeof(DisplayPoint);
   message.row_step = message.point_step * message.width;
@@ -291,7 +304,7 @@ void addSynthetic(const CompletedBlock& block, DisplayCloud& cloud) {
     if (!plant.owned) continue;
     const IndexSpan& span = block.synthetic_span[k];
     for (std::uint32_t i = span.begin; i < span.end; ++i) {
-      cloud.add(block.synthetic.mapPoint(i), kRed, plant.id);
+      cloud.add(block.synthetic.mapPoint(i), kRed, plant.id, block.synthetic_stddev[i]);
     }
   }
 }

@@ -7,6 +7,7 @@
 
 #include <boost/shared_ptr.hpp>
 #include <cstdint>
+#include <limits>
 #include <memory>
 #include <string>
 #include <vector>
@@ -32,14 +33,16 @@ std::shared_ptr<const T> toStd(const boost::shared_ptr<const T>& pointer) {
   return std::shared_ptr<const T>(pointer.get(), [pointer](const T*) {});
 }
 
-/// A cloud for rviz, with the fields `x y z` [m, FLOAT32, the block's frame], `rgb` and `plant_id`
-/// (INT32, -1 where none). Keeps every `stride`-th point of what is added. Far from the frame's
-/// origin rviz's own single precision limits what can be seen (1 mm at 8 km).
+/// A cloud for rviz, with the fields `x y z` [m, FLOAT32, the block's frame], `rgb`, `plant_id`
+/// (INT32, -1 where none) and `stddev` (of a filled-in point's distance to the surface [m,
+/// FLOAT32], NaN where the point was measured). Keeps every `stride`-th point of what is added. Far
+/// from the frame's origin rviz's own single precision limits what can be seen (1 mm at 8 km).
 class DisplayCloud {
  public:
   explicit DisplayCloud(std::size_t stride = 1U);
 
-  void add(const Eigen::Vector3d& point, std::uint32_t rgb, std::int32_t plant_id);
+  void add(const Eigen::Vector3d& point, std::uint32_t rgb, std::int32_t plant_id,
+           float stddev = std::numeric_limits<float>::quiet_NaN());
   std::size_t size() const { return points_; }
   sensor_msgs::PointCloud2 message(const std_msgs::Header& header) const;
 

@@ -108,6 +108,14 @@ class ReadmeTest(unittest.TestCase):
         explained = re.findall(r'^\| `(\w+)` \| (\d+) \|', table, re.MULTILINE)
         self.assertEqual([(name.lower(), bit) for name, bit in flags if bit != '0'], explained)
 
+    def test_every_completion_flag_is_explained(self):
+        flags = re.findall(
+            r'^uint8 COMPLETION_(\w+) = (\d+)', read('msg', 'PlantPhenotype.msg'), re.MULTILINE
+        )
+        table = read('README.md').split('### Completion flags')[1].split('\n#')[0]
+        explained = re.findall(r'^\| `(\w+)` \| (\d+) \|', table, re.MULTILINE)
+        self.assertEqual([(name.lower(), bit) for name, bit in flags if bit != '0'], explained)
+
     def test_files_that_are_named_exist(self):
         links = re.findall(r'\]\((?!http|#)([^)#]+)\)', read('README.md'))
         self.assertTrue(links)

@@ -192,28 +192,35 @@ void writeCompleted(const std::string& path, const CloudFile& input, const Pipel
   addField(out, "rgb", PCLPointField::FLOAT32, 4U);
   addField(out, "plant_id", PCLPointField::INT32, 4U);
   addField(out, "synthetic", PCLPointField::UINT8, 1U);
+  addField(out, "stddev", PCLPointField::FLOAT32, 4U);
   allocate(out);
 
   std::size_t next = 0U;
-  const auto append = [&](const PointCloud& cloud, const IndexSpan& span, std::int32_t id,
-                          bool synthetic, const std::vector<Eigen::Vector3f>& smoothed = {}) {
-    for (std::uint32_t i = span.begin; i < span.end; ++i, ++next) {
-      const bool is_smoothed = smoothed.size() == span.size();
-      storePosition(
-          out, next,
-          is_smoothed ? cloud.origin + smoothed[i - span.begin].cast<double>() : cloud.mapPoint(i));
-      store(out, next, 3U, synthetic ? kSyntheticColor : plantColor(id));
-      store(out, next, 4U, id);
-      store(out, next, 5U, static_cast<std::uint8_t>(synthetic ? 1U : 0U));
-    }
+  const auto append = [&](const Eigen::Vector3d& position, std::int32_t id, bool synthetic,
+                          float stddev) {
+    storePosition(out, next, position);
+    store(out, next, 3U, synthetic ? kSyntheticColor : plantColor(id));
+    store(out, next, 4U, id);
+    store(out, next, 5U, static_cast<std::uint8_t>(synthetic ? 1U : 0U));
+    store(out, next, 6U, stddev);
+    ++next;
   };
   for (const auto& block : result.blocks) {
     const SegmentedBlock& segmented = *block->segmented;
     for (std::size_t k = 0; k < segmented.plants.size(); ++k) {
       const Plant& plant = segmented.plants[k];
       if (!plant.owned) continue;
-      append(segmented.cloud, plant.stem, plant.id, false, block->stems[k].smoothed);
-      append(block->synthetic, block->synthetic_span[k], plant.id, true);
+      const std::vector<Eigen::Vector3f>& smoothed = block->stems[k].smoothed;
+      for (std::uint32_t i = plant.stem.begin; i < plant.stem.end; ++i) {
+        append(smoothed.empty()
+                   ? segmented.cloud.mapPoint(i)
+                   : segmented.cloud.origin + smoothed[i - plant.stem.begin].cast<double>(),
+               plant.id, false, std::numeric_limits<float>::quiet_NaN());
+      }
+      const IndexSpan& filled = block->synthetic_span[k];
+      for (std::uint32_t i = filled.begin; i < filled.end; ++i) {
+        append(block->synthetic.mapPoint(i), plant.id, true, block->synthetic_stddev[i]);
+      }
     }
   }
   write(path, out);

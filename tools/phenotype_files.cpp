@@ -9,6 +9,8 @@
 #include <stdexcept>
 #include <system_error>
 
+#include "field_phenotyping/completion/completion_flags.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -48,6 +50,7 @@ void visitColumns(const Phenotype& p, Visitor&& visit) {
   visit("completeness", p.completeness);
   visit("diameter_points", p.diameter_points);
   visit("synthetic_points", p.synthetic_points);
+  visit("completion", completionFlagNames(p.completion_flags));
   visit("segmentation_quality", static_cast<double>(p.segmentation_quality));
   visit("score", p.score);
   visit("revision", p.revision);

@@ -113,6 +113,9 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
   if (index < completed.synthetic_span.size()) {
     phenotype.synthetic_points = completed.synthetic_span[index].size();
   }
+  if (index < completed.stems.size()) {
+    phenotype.completion_flags = completed.stems[index].flags;
+  }
   phenotype.segmentation_quality = plant.growth.quality;
   phenotype.growth_iterations = plant.growth.iterations;
   phenotype.growth_r1 = plant.growth.r1;

@@ -2,12 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
+
+#include "field_phenotyping/common/flag_names.hpp"
 
 namespace field_phenotyping {
 
 std::string flagNames(std::uint32_t flags) {
-  static constexpr std::pair<std::uint32_t, const char*> kNames[] = {
+  static constexpr FlagName kNames[] = {
       {kTooFewPoints, "too_few_points"},
       {kArcBelow, "arc_below"},
       {kPoorFit, "poor_fit"},
@@ -20,13 +21,7 @@ std::string flagNames(std::uint32_t flags) {
       {kPriorDriven, "prior_driven"},
       {kMergedSuspect, "merged_suspect"},
   };
-  std::string names;
-  for (const auto& [flag, name] : kNames) {
-    if ((flags & flag) == 0U) continue;
-    if (!names.empty()) names += '|';
-    names += name;
-  }
-  return names.empty() ? "ok" : names;
+  return joinFlagNames(flags, kNames);
 }
 
 double qualityScore(const Phenotype& phenotype) {

@@ -562,6 +562,14 @@ TEST(CompletionStem, SaysWhyItLeftAStemAlone) {
   EXPECT_EQ(flagsOf(scene) & kCompletionUncertain, kCompletionUncertain);
 }
 
+TEST(CompletionStem, NamesItsFlags) {
+  EXPECT_EQ(completionFlagNames(0U), "ok");
+  EXPECT_EQ(completionFlagNames(kCompletionOpenGap | kCompletionSeenEmpty), "open_gap|seen_empty");
+  EXPECT_EQ(completionFlagNames(kCompletionTooFewPoints), "too_few_points");
+  EXPECT_EQ(completionFlagNames(kCompletionNoSurface | kCompletionUncertain),
+            "no_surface|uncertain");
+}
+
 TEST(CompletionStem, FillsNothingBetweenTheBranchesOfAFork) {
   Scene scene;
   scene.points = 1200;

@@ -77,7 +77,7 @@ class Output(FieldTest):
         for row in rows:
             self.assertEqual(len(row), len(header))
             for name, text in row.items():
-                if name != 'quality':
+                if name not in ('quality', 'completion'):
                     float(text)  # a number or nan, never empty
         self.assertEqual(len({row['plant_id'] for row in rows}), len(rows))
 
@@ -138,7 +138,8 @@ class Output(FieldTest):
         self.assertAlmostEqual(float(layers[-1]['height']), PLANT_HEIGHT, delta=0.15)
         completed = read_pcd(os.path.join(out, 'completed.pcd'))
         self.assertEqual(
-            completed.dtype.names, ('x', 'y', 'z', 'rgb', 'plant_id', 'synthetic')
+            completed.dtype.names,
+            ('x', 'y', 'z', 'rgb', 'plant_id', 'synthetic', 'stddev'),
         )
         rows, _ = read_table(os.path.join(out, 'plants.csv'))
         for row in rows:
@@ -146,6 +147,14 @@ class Output(FieldTest):
             measured = of_plant[of_plant['synthetic'] == 0]
             self.assertEqual(len(measured), int(row['stem_points']))
             self.assertEqual(len(of_plant) - len(measured), int(row['synthetic_points']))
+            filled = of_plant[of_plant['synthetic'] == 1]
+            self.assertTrue(np.all((filled['stddev'] > 0.0) & (filled['stddev'] < 0.05)))
+            self.assertTrue(np.all(np.isnan(measured['stddev'])))
+            for flag in row['completion'].split('|'):
+                self.assertIn(
+                    flag,
+                    ('ok', 'too_few_points', 'no_surface', 'open_gap', 'uncertain', 'seen_empty'),
+                )
 
     def test_debug_says_how_every_stem_was_grown(self):
         shift = np.array([500000.0, 4500000.0, 90.0])

@@ -43,6 +43,7 @@ Phenotype somePlant() {
   plant.plant_points = 22U;
   plant.diameter_points = 9U;
   plant.synthetic_points = 33U;
+  plant.completion_flags = kCompletionOpenGap | kCompletionUncertain;
   plant.segmentation_quality = 0.5F;
   plant.growth_iterations = 3U;
   plant.growth_r1 = 0.05F;
@@ -101,6 +102,7 @@ TEST(Phenotypes, SurviveTheMessage) {
   EXPECT_EQ(p.plant_points, expected.plant_points);
   EXPECT_EQ(p.diameter_points, expected.diameter_points);
   EXPECT_EQ(p.synthetic_points, expected.synthetic_points);
+  EXPECT_EQ(p.completion_flags, expected.completion_flags);
   EXPECT_EQ(p.segmentation_quality, expected.segmentation_quality);
   EXPECT_EQ(p.growth_iterations, expected.growth_iterations);
   EXPECT_EQ(p.growth_r1, expected.growth_r1);
@@ -235,13 +237,18 @@ TEST(DisplayClouds, ShowFilledInPointsInRed) {
   CompletedBlock completed;
   completed.segmented = std::make_shared<SegmentedBlock>(someBlock());
   completed.synthetic.points = {{0.0F, 0.0F, 1.0F}, {1.0F, 0.0F, 1.0F}};
-  completed.synthetic_stddev = {0.1F, 0.1F};
+  completed.synthetic_stddev = {0.1F, 0.2F};
   completed.synthetic_span = {{0U, 1U}, {1U, 2U}};
   DisplayCloud cloud;
   addSynthetic(completed, cloud);
-  const auto points = pointsOf(cloud.message(std_msgs::Header()));
+  const sensor_msgs::PointCloud2 message = cloud.message(std_msgs::Header());
+  const auto points = pointsOf(message);
   ASSERT_EQ(points.size(), 1U);
   EXPECT_EQ(points[0].rgb, 0xff0000U);
+  float stddev = 0.0F;
+  ASSERT_EQ(message.fields.back().name, "stddev");
+  std::memcpy(&stddev, &message.data[message.fields.back().offset], sizeof(stddev));
+  EXPECT_EQ(stddev, 0.1F);
   EXPECT_EQ(points[0].plant_id, 5);
 }
 

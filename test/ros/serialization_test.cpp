@@ -90,6 +90,8 @@ CompletedBlock completedBlock() {
   block.synthetic = someCloud(3U);
   block.synthetic_stddev = {0.1F, 0.2F, 0.3F};
   block.synthetic_span = {{0U, 2U}, {2U, 3U}};
+  block.stems.resize(2U);
+  block.stems[1].flags = 8U;
   return block;
 }
 
@@ -183,6 +185,9 @@ TEST(Wire, BringsACompletedBlockBackWhole) {
   ASSERT_EQ(got.synthetic_span.size(), 2U);
   EXPECT_EQ(got.synthetic_span[1].begin, 2U);
   EXPECT_EQ(got.synthetic_span[1].end, 3U);
+  ASSERT_EQ(got.stems.size(), 2U);
+  EXPECT_EQ(got.stems[0].flags, 0U);
+  EXPECT_EQ(got.stems[1].flags, 8U);
 }
 
 // What `rostopic echo` and other languages read is the generated message.
@@ -207,6 +212,7 @@ TEST(Wire, IsThatOfTheGeneratedMessages) {
 
   const auto completed = overTheWire<CompletedBlock, CompletedFieldBlock>(completedBlock());
   EXPECT_EQ(completed.synthetic_end.at(1), 3U);
+  EXPECT_EQ(completed.completion_flags.at(1), 8U);
   const auto back = overTheWire<CompletedFieldBlock, CompletedBlock>(completed);
   expectSame(*back.segmented, segmentedBlock());
 }
@@ -226,6 +232,9 @@ TEST(Wire, RefusesWhatDoesNotFitTogether) {
 
   auto completed = overTheWire<CompletedBlock, CompletedFieldBlock>(completedBlock());
   completed.synthetic_end[1] = 4U;
+  EXPECT_THROW((overTheWire<CompletedFieldBlock, CompletedBlock>(completed)), std::exception);
+  completed.synthetic_end[1] = 3U;
+  completed.completion_flags.pop_back();
   EXPECT_THROW((overTheWire<CompletedFieldBlock, CompletedBlock>(completed)), std::exception);
 
   auto block = overTheWire<Block, FieldBlock>(fieldBlock());

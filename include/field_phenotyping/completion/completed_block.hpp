@@ -11,10 +11,9 @@ namespace field_phenotyping {
 
 struct StemState;
 
-/// How one stem was completed, beside the points. Between processes it is not sent: then no block
-/// has any.
+/// How one stem was completed, beside the points. Between processes only the flags are sent.
 struct StemSolution {
-  std::uint8_t flags = 0U;  ///< CompletionFlag of completion/stem_completion.hpp
+  std::uint8_t flags = 0U;  ///< CompletionFlag of completion/completion_flags.hpp
   /// The measured stem points, in their order, after the bilateral filter (Eq 25), same frame. They
   /// complete the picture: traits are measured from the points as they were.
   std::vector<Eigen::Vector3f> smoothed;

@@ -6,21 +6,13 @@
 
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/completion/completed_block.hpp"
+#include "field_phenotyping/completion/completion_flags.hpp"
 #include "field_phenotyping/completion/sight_lines.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/ground_model.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 
 namespace field_phenotyping {
-
-/// Why a stem, or part of it, was left as it was measured. Bits.
-enum CompletionFlag : std::uint8_t {
-  kCompletionTooFewPoints = 1U,  ///< fewer than min_points, or than 100 a metre
-  kCompletionNoSurface = 2U,  ///< the points, or those of a stretch, lie on no one surface: a fork
-  kCompletionOpenGap = 4U,    ///< a gap is longer than max_gap
-  kCompletionUncertain = 8U,  ///< a part is known less well than max_stddev: one side only
-  kCompletionSeenEmpty = 16U  ///< the sensor saw through a gap
-};
 
 /// A stem with its gaps filled, in the local frame of the block's cloud.
 struct CompletedStem {

@@ -59,6 +59,7 @@ struct Phenotype {
   std::uint32_t plant_points = 0U;
   std::uint32_t diameter_points = 0U;    ///< that the diameter was fitted to
   std::uint32_t synthetic_points = 0U;   ///< added by completion, used in no trait
+  std::uint8_t completion_flags = 0U;    ///< CompletionFlag: what was left unfilled, and why
   float segmentation_quality = 0.0F;     ///< Q of Eq 9
   std::uint32_t growth_iterations = 0U;  ///< growths of the stem that it took (Step 4)
   float growth_r1 = 0.0F;                ///< growth radius of the stem's best growth [m]
