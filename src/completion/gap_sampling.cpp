@@ -44,9 +44,7 @@ class CellGrid {
     return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) +
            static_cast<std::size_t>((column % columns_ + columns_) % columns_);
   }
-  SurfacePosition center(std::size_t cell) const {
-    const auto row = static_cast<int>(cell / static_cast<std::size_t>(columns_));
-    const auto column = static_cast<double>(cell % static_cast<std::size_t>(columns_));
+  SurfacePosition center(int row, int column) const {
     return {-kPi + (column + shiftOf(row)) * columnAngle(), begin_ + (row + 0.5) * row_height_};
   }
   /// Calls visit(cell, row, column) for the cells whose centre is within `reach` [m] of a place.
@@ -128,11 +126,11 @@ int labelRegions(const CellGrid& grid, const std::vector<char>& missing, std::ve
 }
 
 /// Adds one cell to a region; its curvature is summed up over the area.
-void addCell(const CellGrid& grid, std::size_t cell, double mean_radius, const Outline& outline,
-             GapRegion& region) {
+void addCell(const CellGrid& grid, const SurfacePosition& center, double mean_radius,
+             const Outline& outline, GapRegion& region) {
   const double r = mean_radius * outline.radius;
   const double area = r * grid.columnAngle() * grid.rowHeight();
-  region.cells.push_back(grid.center(cell));
+  region.cells.push_back(center);
   region.area += area;
   region.volume += 0.5 * r * area;
   region.curvature += area * outline.curvature / mean_radius;
@@ -192,11 +190,10 @@ std::vector<GapRegion> findGaps(const std::vector<SurfacePosition>& measured,
   std::vector<double> radii;
   std::vector<Outline> outlines;
   for (int column = 0; column < grid.columns(); ++column) {
-    outlines.push_back(
-        outlineAt(grid.center(static_cast<std::size_t>(column)).theta, shape.ellipse));
+    outlines.push_back(outlineAt(grid.center(0, column).theta, shape.ellipse));
   }
   for (int row = 0; row < grid.rows(); ++row) {
-    const double s = grid.center(grid.cellAt(row, 0)).s;
+    const double s = grid.center(row, 0).s;
     radii.push_back(shape.radius(s));
     if (range.contains(s)) continue;
     for (int column = 0; column < grid.columns(); ++column) missing[grid.cellAt(row, column)] = 0;
@@ -206,11 +203,14 @@ std::vector<GapRegion> findGaps(const std::vector<SurfacePosition>& measured,
   none.cell_angle = grid.columnAngle();
   std::vector<GapRegion> regions(static_cast<std::size_t>(labelRegions(grid, missing, label)),
                                  none);
-  const auto columns = static_cast<std::size_t>(grid.columns());
-  for (std::size_t cell = 0; cell < grid.size(); ++cell) {
-    if (label[cell] == 0) continue;
-    addCell(grid, cell, radii[cell / columns], outlines[cell % columns],
-            regions[static_cast<std::size_t>(label[cell] - 1)]);
+  std::size_t cell = 0;
+  for (int row = 0; row < grid.rows(); ++row) {
+    for (int column = 0; column < grid.columns(); ++column, ++cell) {
+      if (label[cell] == 0) continue;
+      addCell(grid, grid.center(row, column), radii[static_cast<std::size_t>(row)],
+              outlines[static_cast<std::size_t>(column)],
+              regions[static_cast<std::size_t>(label[cell] - 1)]);
+    }
   }
   for (GapRegion& region : regions) region.curvature /= region.area;
   return regions;

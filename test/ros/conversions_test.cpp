@@ -11,6 +11,7 @@
 #include <map>
 
 #include "cloud_decoder.hpp"
+#include "field_phenotyping/completion/completion_flags.hpp"
 
 namespace field_phenotyping {
 namespace {
