@@ -23,6 +23,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/nearest_name.hpp"
 #include "field_phenotyping/preprocessing/preprocessor.hpp"
+#include "simulation/progress.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -184,9 +185,12 @@ class Checker {
     if (!chooseTopic()) return report_;
     readTransforms();
     rosbag::View scans(bag_, rosbag::TopicQuery(report_.points_topic));
+    simulation::ProgressBar progress;  // bags of hours take minutes
+    const auto all = static_cast<double>(scans.size());
     for (const rosbag::MessageInstance& instance : scans) {
       const auto message = instance.instantiate<PointCloud2>();
       if (message) addScan(*message, instance.getTime());
+      progress.update("placing scans", static_cast<double>(report_.scans) / all);
     }
     judgeTime();
     judgePoints();

@@ -59,7 +59,7 @@ constexpr double kStemBandHigh = 0.6;
 constexpr double kDensityCell = 0.5;
 constexpr double kLeastPlantHeight = 0.2;
 
-/// Reads a bag as the nodelets would. Places every scan.
+/// Reads a bag as the nodelets would. Places every scan; shows on stderr how far it is.
 /// @throws std::runtime_error when it cannot be read as a bag at all
 BagReport checkBag(const BagCheckRequest& request);
 

@@ -106,7 +106,7 @@ int main(int argc, char** argv) {
   app.add_option("--target-frame", request.target_frame, "Frame of all results, z up")
       ->capture_default_str();
   app.add_option("--config", config, "YAML file of parameters, as of the nodelets");
-  app.add_option("--set", assignments, "One parameter: stage/name=value")->allow_extra_args(false);
+  app.add_option("--set", assignments, "Set one parameter: stage/parameter=value");
   app.add_flag("--json", json, "Print JSON instead of text");
   app.footer(
       "Exit status: 0 nothing wrong; 1 plants can be measured, but see what is said; 2 nothing "

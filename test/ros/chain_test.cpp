@@ -109,7 +109,9 @@ TEST_F(Chain, HandsOnAddressesNotCopies) {
 
 TEST_F(Chain, TakesTheValuesOfTheParameterServerAndNamesMisspeltOnes) {
   EXPECT_EQ(reconfigure("alpha", 0.2).r1, 0.045) << "the .cfg default won over the given value";
-  EXPECT_TRUE(client_->heardOf("segmentation", "seed_min_hieght is not a parameter"));
+  EXPECT_TRUE(client_->heardOf(
+      "segmentation",
+      "'segmentation/seed_min_hieght'; did you mean 'segmentation/seed_min_height'"));
 }
 
 TEST_F(Chain, ChangedMReachesTheBlocksAlreadySeen) {
