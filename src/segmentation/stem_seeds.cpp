@@ -226,33 +226,66 @@ std::vector<std::vector<Link>> linkClusters(const std::vector<Cluster>& clusters
   return links;
 }
 
-/// The chain of unused clusters with the most evidence, by dynamic programming from low to high.
-/// Clusters are ordered by slab.
-Chain bestChain(const std::vector<Cluster>& clusters, const std::vector<std::vector<Link>>& links) {
-  std::vector<float> score(clusters.size(), 0.0F);
-  std::vector<std::size_t> below(clusters.size(), kNone);
-  std::size_t best = kNone;
-  for (std::size_t high = 0; high < clusters.size(); ++high) {
-    if (clusters[high].used) continue;
-    float gain = -kFloatCost * static_cast<float>(clusters[high].slab);
-    for (const Link& link : links[high]) {
-      if (clusters[link.low].used) continue;
-      const float through = score[link.low] - link.cost;
+/// Chains of clusters, by dynamic programming from low to high. Clusters are ordered by slab.
+class Chains {
+ public:
+  Chains(const std::vector<Cluster>& clusters, const std::vector<std::vector<Link>>& links)
+      : clusters_(clusters),
+        links_(links),
+        score_(clusters.size(), 0.0F),
+        below_(clusters.size(), kNone) {
+    for (std::size_t high = 0; high < clusters.size(); ++high) extendTo(high);
+  }
+
+  /// The chain of unused clusters with the most evidence.
+  Chain best() {
+    dropUsed();
+    std::size_t best = kNone;
+    for (std::size_t high = 0; high < clusters_.size(); ++high) {
+      if (clusters_[high].used) continue;
+      if (best == kNone || score_[high] > score_[best]) best = high;
+    }
+    Chain chain;
+    if (best == kNone) return chain;
+    chain.score = score_[best];
+    for (std::size_t c = best; c != kNone; c = below_[c]) chain.clusters.push_back(c);
+    std::reverse(chain.clusters.begin(), chain.clusters.end());
+    return chain;
+  }
+
+ private:
+  /// The best chain that ends in a cluster, from those that end below it.
+  void extendTo(std::size_t high) {
+    float gain = -kFloatCost * static_cast<float>(clusters_[high].slab);
+    below_[high] = kNone;
+    for (const Link& link : links_[high]) {
+      if (clusters_[link.low].used) continue;
+      const float through = score_[link.low] - link.cost;
       if (through > gain) {
         gain = through;
-        below[high] = link.low;
+        below_[high] = link.low;
       }
     }
-    score[high] = clusters[high].evidence + gain;
-    if (best == kNone || score[high] > score[best]) best = high;
+    score_[high] = clusters_[high].evidence + gain;
   }
-  Chain chain;
-  if (best == kNone) return chain;
-  chain.score = score[best];
-  for (std::size_t c = best; c != kNone; c = below[c]) chain.clusters.push_back(c);
-  std::reverse(chain.clusters.begin(), chain.clusters.end());
-  return chain;
-}
+
+  /// Extends anew the chains that lead through clusters used since. Others only lost worse ways.
+  void dropUsed() {
+    std::vector<std::uint8_t> changed(clusters_.size(), 0U);
+    for (std::size_t high = 0; high < clusters_.size(); ++high) {
+      const std::size_t low = below_[high];
+      if (clusters_[high].used || low == kNone) continue;
+      if (!clusters_[low].used && changed[low] == 0U) continue;
+      extendTo(high);
+      changed[high] = 1U;
+    }
+  }
+
+  const std::vector<Cluster>& clusters_;
+  const std::vector<std::vector<Link>>& links_;
+  std::vector<float> score_;
+  std::vector<std::size_t> below_;
+};
 
 /// Draws the seeds that stray on to leaves back to the stem's own gentle curve: a parabola over the
 /// height, fitted robustly.
@@ -340,9 +373,10 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<Local
   // 2. The best chain of clusters, again and again, until what is left is too short or too weak.
   const auto links = linkClusters(clusters, grid, static_cast<float>(parameters.seed_slab),
                                   static_cast<float>(parameters.max_lean * M_PI / 180.0), lean);
+  Chains chains(clusters, links);
   std::vector<StemSeeds> stems;
   while (stems.size() < most) {
-    const Chain chain = bestChain(clusters, links);
+    const Chain chain = chains.best();
     if (chain.score < static_cast<float>(parameters.seed_min_score)) break;
     StemSeeds stem;
     stem.score = chain.score;
