@@ -117,6 +117,11 @@ TEST(StemAxis, InterpolatesAlongItself) {
   EXPECT_NEAR(axis.pointAtHeight(-0.2F).x(), -0.01F, 1e-6F);
   EXPECT_NEAR(axis.pointAtHeight(1.4F).x(), 0.325F, 1e-5F);
   EXPECT_NEAR(axis.pointAtHeight(0.8F).y(), 0.05F, 1e-6F);
+  std::size_t segment = 1000U;  // wherever it begins to look
+  for (const float z : {1.4F, 0.2F, 0.21F, -0.2F, 0.8F, 0.5F, 0.0F, 1.0F}) {
+    EXPECT_EQ(axis.pointAtHeight(z, segment), axis.pointAtHeight(z)) << z;
+    EXPECT_LT(segment + 1U, axis.nodes().size());
+  }
 }
 
 TEST(StemAxis, BelowKeepsTheLowerPart) {
