@@ -4,6 +4,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
+#ifdef __SSE__
+#include <xmmintrin.h>
+#endif
 
 // Four values at once, in the vectors that every 64-bit processor has.
 
@@ -49,7 +52,7 @@ inline unsigned bitsOf(const Integers& holds) {
 #ifdef __SSE__
   Floats lanes;  // of which the instruction takes the signs
   std::memcpy(&lanes, &holds, sizeof lanes);
-  return static_cast<unsigned>(__builtin_ia32_movmskps(lanes));
+  return static_cast<unsigned>(_mm_movemask_ps(lanes));
 #else
   return (static_cast<unsigned>(holds[0]) & 1U) | (static_cast<unsigned>(holds[1]) & 2U) |
          (static_cast<unsigned>(holds[2]) & 4U) | (static_cast<unsigned>(holds[3]) & 8U);
@@ -65,7 +68,7 @@ inline bool anyOf(const Integers& holds) {
 /// The larger value of each lane.
 inline Floats largerOf(const Floats& a, const Floats& b) {
 #ifdef __SSE__
-  return __builtin_ia32_maxps(a, b);
+  return _mm_max_ps(a, b);
 #else
   return a > b ? a : b;
 #endif
@@ -73,14 +76,14 @@ inline Floats largerOf(const Floats& a, const Floats& b) {
 /// The smaller value of each lane.
 inline Floats smallerOf(const Floats& a, const Floats& b) {
 #ifdef __SSE__
-  return __builtin_ia32_minps(a, b);
+  return _mm_min_ps(a, b);
 #else
   return a < b ? a : b;
 #endif
 }
 inline Floats squareRootOf(const Floats& values) {
 #ifdef __SSE__
-  return __builtin_ia32_sqrtps(values);
+  return _mm_sqrt_ps(values);
 #else
   return Floats{std::sqrt(values[0]), std::sqrt(values[1]), std::sqrt(values[2]),
                 std::sqrt(values[3])};
