@@ -26,6 +26,12 @@ std_msgs::Header messageHeader(const BlockHeader& header) {
 void checkConsistency(const PointCloud& cloud) {
   require(cloud.colors.empty() || cloud.colors.size() == cloud.points.size(),
           "colors are neither empty nor one a point");
+  require(cloud.scan_origin.empty() || cloud.scan_origin.size() == cloud.points.size(),
+          "scan_origin is neither empty nor one a point");
+  for (const std::uint16_t origin : cloud.scan_origin) {
+    require(origin == kNoScanOrigin || origin < cloud.scan_origins.size(),
+            "scan_origin names a place that is not in scan_origins");
+  }
 }
 
 void checkConsistency(const SegmentedBlock& block) {

@@ -204,6 +204,8 @@ struct Serializer<field_phenotyping::PointCloud> {
     stream.next(cloud.origin);
     stream.next(cloud.points);
     stream.next(cloud.colors);
+    stream.next(cloud.scan_origins);
+    stream.next(cloud.scan_origin);
   }
   ROS_DECLARE_ALLINONE_SERIALIZER
 };

@@ -206,7 +206,7 @@ std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const Waiting
 
 void PreprocessingStage::place(const sensor_msgs::PointCloud2ConstPtr& message,
                                const Eigen::Isometry3d& T_target_sensor) {
-  const Scan scan = toScan(*message);
+  const Scan scan = scanOf(*message);
   noticeTimeJump(message->header.stamp);
   if (isRegistered(*message) != registered_) {
     registered_ = !registered_;
@@ -218,6 +218,13 @@ void PreprocessingStage::place(const sensor_msgs::PointCloud2ConstPtr& message,
   only_scan_ = scans_added_ == 1U ? message : nullptr;
   only_transform_ = T_target_sensor;
   reportScan(*message, scan, report);
+}
+
+/// Raw scans are in the sensor's frame, so that its place is known.
+Scan PreprocessingStage::scanOf(const sensor_msgs::PointCloud2& message) const {
+  Scan scan = toScan(message);
+  if (!isRegistered(message)) scan.origin = Eigen::Vector3d::Zero();
+  return scan;
 }
 
 void PreprocessingStage::reportScan(const sensor_msgs::PointCloud2& message, const Scan& scan,
@@ -307,7 +314,7 @@ void PreprocessingStage::applyParameters() {
   }
   // One whole cloud comes only once: it is worked again, so that tuning shows its effect.
   preprocessor_.reset();
-  preprocessor_.addScan(toScan(*only_scan_), only_transform_);
+  preprocessor_.addScan(scanOf(*only_scan_), only_transform_);
 }
 
 PreprocessingParameters PreprocessingStage::effectiveParameters() const {

@@ -58,6 +58,7 @@ class PreprocessingStage {
   std::optional<Eigen::Isometry3d> findTransform(const WaitingScan& waiting, bool& try_again);
   void place(const sensor_msgs::PointCloud2ConstPtr& message,
              const Eigen::Isometry3d& T_target_sensor);
+  Scan scanOf(const sensor_msgs::PointCloud2& message) const;
   void reportScan(const sensor_msgs::PointCloud2& message, const Scan& scan,
                   const ScanReport& report);
   void noticeTimeJump(const ros::Time& stamp);

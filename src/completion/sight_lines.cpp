@@ -32,6 +32,38 @@ Crossing crossingOf(const StemFrame::Frame& frame, const Vector3d& origin, const
 
 }  // namespace
 
+std::vector<SightLine> sightLinesPast(const PointCloud& cloud, IndexSpan stem,
+                                      const SurfacePrior& prior) {
+  constexpr double kReach = 0.03;  // [m] beside the chord of the axis
+  std::vector<SightLine> sight;
+  if (!cloud.hasScanOrigins()) return sight;
+  const std::vector<StemFrame::Frame>& nodes = prior.frame().nodes();
+  StemFrame::Frame chord = nodes.front();
+  const Vector3d way = nodes.back().position - chord.position;
+  chord.tangent = way.normalized();
+  double bow = 0.0;
+  for (const StemFrame::Frame& node : nodes) {
+    const Vector3d offset = node.position - chord.position;
+    bow = std::max(bow, (offset - offset.dot(chord.tangent) * chord.tangent).norm());
+  }
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    if ((i >= stem.begin && i < stem.end) || cloud.scan_origin[i] == kNoScanOrigin) continue;
+    const SightLine line{cloud.scan_origins[cloud.scan_origin[i]], cloud.points[i]};
+    const Vector3d origin = line.origin.cast<double>();
+    const Vector3d beam = line.end.cast<double>() - origin;
+    const double length = beam.norm();
+    if (!(length > kBeyond)) continue;
+    const Crossing crossing = crossingOf(chord, origin, beam / length);
+    if (crossing.distance > bow + kReach || crossing.along_beam < 0.0 ||
+        crossing.along_beam > length || crossing.along_axis < -kReach ||
+        crossing.along_axis > way.norm() + kReach) {
+      continue;
+    }
+    sight.push_back(line);
+  }
+  return sight;
+}
+
 std::vector<std::pair<double, double>> emptyStretches(const SurfacePrior& prior,
                                                       const std::vector<SightLine>& sight) {
   constexpr double kStep = 0.05;  // [m] along which the axis is about straight

@@ -9,6 +9,7 @@
 
 #include "field_phenotyping/completion/gap_sampling.hpp"
 #include "field_phenotyping/completion/rbf_surface.hpp"
+#include "field_phenotyping/completion/sight_lines.hpp"
 #include "field_phenotyping/completion/stem_region.hpp"
 #include "field_phenotyping/completion/surface_index.hpp"
 #include "field_phenotyping/completion/surface_prior.hpp"
@@ -99,6 +100,30 @@ double ownDensity(const MeasuredSurface& measured, double radius) {
   std::vector<SurfacePosition> part;
   for (std::size_t i = 0; i < measured.size(); i += stride) part.push_back(measured.places()[i]);
   return static_cast<double>(stride) * medianDensity(SurfaceIndex(part, radius), part);
+}
+
+/// Stretches of the stem without any measured point that beams went right through.
+/// @param begin where filling begins [m]
+std::vector<std::pair<double, double>> seenEmpty(const PointCloud& cloud, IndexSpan stem,
+                                                 const SurfacePrior& prior,
+                                                 const MeasuredSurface& measured, double begin) {
+  constexpr double kLeast = 0.02;  // [m] shorter ones are between points
+  std::vector<std::pair<double, double>> unseen;
+  double end = begin;
+  for (const double s : measured.rowEnds()) {
+    if (s - end > kLeast) unseen.emplace_back(end, s);
+    end = s;
+  }
+  std::vector<std::pair<double, double>> empty;
+  if (unseen.empty() || !cloud.hasScanOrigins()) return empty;
+  for (const auto& [low, high] : emptyStretches(prior, sightLinesPast(cloud, stem, prior))) {
+    for (const auto& [from, to] : unseen) {
+      if (std::min(high, to) > std::max(low, from)) {
+        empty.emplace_back(std::max(low, from), std::min(high, to));
+      }
+    }
+  }
+  return empty;
 }
 
 double densityOf(const MeasuredSurface& measured, const SurfacePrior& prior, double length,
@@ -217,7 +242,7 @@ void smoothMeasured(const PointCloud& cloud, IndexSpan stem, const SurfacePrior&
 
 CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
                            const GroundModel& ground, const CompletionParameters& parameters,
-                           const StemState* previous, const std::vector<SightLine>& sight) {
+                           const StemState* previous) {
   CompletedStem completed;
   completed.solution.smoothed.assign(cloud.points.begin() + stem.begin,
                                      cloud.points.begin() + stem.end);
@@ -247,7 +272,7 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
   model.range = findFillRange(measured.rowEnds(), parameters.max_gap);
   model.range.begin = lowerEnd(*prior, ground, model.range.begin, parameters.max_gap);
   if (!model.range.open.empty()) completed.solution.flags |= kCompletionOpenGap;
-  for (const auto& stretch : emptyStretches(*prior, sight)) {
+  for (const auto& stretch : seenEmpty(cloud, stem, *prior, measured, model.range.begin)) {
     model.range.open.push_back(stretch);
     completed.solution.flags |= kCompletionSeenEmpty;
   }

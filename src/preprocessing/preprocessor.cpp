@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
+#include <optional>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
@@ -34,10 +35,12 @@ PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std:
     if (flags[i] != wanted) continue;
     cloud.points[kept] = cloud.points[i];
     if (cloud.hasColors()) cloud.colors[kept] = cloud.colors[i];
+    if (cloud.hasScanOrigins()) cloud.scan_origin[kept] = cloud.scan_origin[i];
     ++kept;
   }
   cloud.points.resize(kept);
   if (cloud.hasColors()) cloud.colors.resize(kept);
+  if (cloud.hasScanOrigins()) cloud.scan_origin.resize(kept);
   return cloud;
 }
 
@@ -57,6 +60,7 @@ struct Preprocessor::Impl {
     voxel_count = 0U;
     newest_ns = 0U;
     has_datum = false;
+    last_sensor.reset();
   }
 
   bool inRange(const Eigen::Vector3d& from_sensor) const {
@@ -70,7 +74,9 @@ struct Preprocessor::Impl {
   }
 
   void chooseHeightDatum(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
-  bool insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color);
+  std::optional<Eigen::Vector3d> sensorOf(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
+  bool insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color,
+              const std::optional<Eigen::Vector3d>& sensor);
   void touchBlocksAround(const BlockIndex& index, const Eigen::Vector3f& local);
   void chooseEvictions();
   bool isFinal(const TileState& state) const;
@@ -85,6 +91,7 @@ struct Preprocessor::Impl {
   std::uint64_t newest_ns = 0U;
   Eigen::Vector2d scan_center = Eigen::Vector2d::Zero();
   bool has_datum = false;
+  std::optional<Eigen::Vector3d> last_sensor;  // where it was at the scan before
 };
 
 /// Every block whose tile or margin holds the point has changed.
@@ -126,14 +133,30 @@ void Preprocessor::Impl::chooseHeightDatum(const Scan& scan,
 }
 
 /// Returns whether the point lies near enough to the map's other points to be kept.
-bool Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color) {
+/// Where the sensor was, if it stood about still: a scan has one pose, and a sensor that moves on
+/// during it was elsewhere for most of its beams, which then seem to go through stems.
+std::optional<Eigen::Vector3d> Preprocessor::Impl::sensorOf(const Scan& scan,
+                                                            const Eigen::Isometry3d& T_map_sensor) {
+  constexpr double kStill = 0.01;  // [m] from one scan to the next
+  std::optional<Eigen::Vector3d> sensor;
+  if (scan.origin) sensor = T_map_sensor * *scan.origin;
+  const bool still = sensor && last_sensor && (*sensor - *last_sensor).norm() <= kStill;
+  last_sensor = sensor;
+  return still ? sensor : std::nullopt;
+}
+
+/// @param sensor where it was, if known
+bool Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color,
+                                const std::optional<Eigen::Vector3d>& sensor) {
   const BlockIndex index = map.tileAt(p.x(), p.y());
   const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
   if (!hasVoxelKey(local, map.voxelSize())) return false;
   const auto [found, fresh] = states.try_emplace(index);
   TileState& state = found->second;
   if (fresh) state.began_ns = newest_ns;
-  if (map.tile(index).insert(local, map.voxelSize(), with_color, color)) {
+  VoxelTile& tile = map.tile(index);
+  if (tile.insert(local, map.voxelSize(), with_color, color)) {
+    if (sensor) tile.noteOrigin((*sensor - map.originOf(index)).cast<float>());
     ++state.new_voxels;
     ++voxel_count;
   }
@@ -189,6 +212,7 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
   impl_->newest_ns = std::max(impl_->newest_ns, scan.stamp_ns);
   if (!impl_->has_datum) impl_->chooseHeightDatum(scan, T_map_sensor);
   Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  const std::optional<Eigen::Vector3d> sensor = impl_->sensorOf(scan, T_map_sensor);
   for (std::size_t i = 0; i < scan.cloud.size(); ++i) {
     if (!scan.cloud.points[i].allFinite()) {
       ++report.non_finite;
@@ -198,7 +222,7 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
     const Eigen::Vector3d p = T_map_sensor * from_sensor;
     const std::uint32_t color = scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U;
     if (!impl_->inRange(from_sensor) || !impl_->inCropBox(p) ||
-        !impl_->insert(p, scan.cloud.hasColors(), color)) {
+        !impl_->insert(p, scan.cloud.hasColors(), color, sensor)) {
       ++report.out_of_range;
       continue;
     }

@@ -47,6 +47,15 @@ bool VoxelTile::insert(const Eigen::Vector3f& p, float voxel_size, bool with_col
   return is_new;
 }
 
+void VoxelTile::noteOrigin(const Eigen::Vector3f& sensor) {
+  if (origins_.empty() || origins_.back() != sensor) {
+    if (origins_.size() >= kNoScanOrigin) return;
+    origins_.push_back(sensor);
+  }
+  origin_.resize(voxels_.size(), kNoScanOrigin);
+  origin_.back() = static_cast<std::uint16_t>(origins_.size() - 1U);
+}
+
 std::uint32_t VoxelTile::color(std::size_t i) const {
   if (i >= colors_.size() || colors_[i][3] == 0U) return 0U;
   const std::uint64_t count = colors_[i][3];
@@ -84,22 +93,35 @@ PointCloud VoxelMap::extract(const BlockIndex& index, double margin) const {
   const auto reach = static_cast<float>(0.5 * tile_size_ + margin);
   const int rings = static_cast<int>(std::ceil(margin / tile_size_));
   bool any_color = false;
+  bool any_origin = false;
   for (int dy = -rings; dy <= rings; ++dy) {
     for (int dx = -rings; dx <= rings; ++dx) {
       const BlockIndex neighbor{index.x + dx, index.y + dy};
       const VoxelTile* tile = find(neighbor);
       if (tile == nullptr) continue;
       any_color = any_color || tile->hasColors();
+      any_origin = any_origin || !tile->origins().empty();
+      std::vector<std::uint16_t> place_of(tile->origins().size(), kNoScanOrigin);
       const Eigen::Vector3f shift = (originOf(neighbor) - cloud.origin).cast<float>();
       for (std::size_t i = 0; i < tile->size(); ++i) {
         const Eigen::Vector3f p = tile->centroid(i) + shift;
         if (std::abs(p.x()) > reach || std::abs(p.y()) > reach) continue;
         cloud.points.push_back(p);
         cloud.colors.push_back(tile->color(i));
+        cloud.scan_origin.push_back(kNoScanOrigin);
+        const std::uint16_t origin = tile->origin(i);
+        if (origin == kNoScanOrigin) continue;
+        std::uint16_t& place = place_of[origin];
+        if (place == kNoScanOrigin && cloud.scan_origins.size() < kNoScanOrigin) {
+          place = static_cast<std::uint16_t>(cloud.scan_origins.size());
+          cloud.scan_origins.push_back(tile->origins()[origin] + shift);
+        }
+        cloud.scan_origin.back() = place;
       }
     }
   }
   if (!any_color) cloud.colors.clear();
+  if (!any_origin) cloud.scan_origin.clear();
   return cloud;
 }
 

@@ -119,6 +119,7 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   out.header = block.header;
   out.ground = block.ground;
   out.cloud.origin = block.cloud.origin;
+  out.cloud.scan_origins = block.cloud.scan_origins;
 
   constexpr std::size_t kGroups = 2U;  // stem, other organs
   const std::size_t none = kGroups * stems.size();
@@ -154,6 +155,9 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   for (const std::uint32_t i : out.source_index) {
     out.cloud.points.push_back(block.cloud.points[i]);
     if (block.cloud.hasColors()) out.cloud.colors.push_back(block.cloud.colors[i]);
+    if (block.cloud.hasScanOrigins()) {
+      out.cloud.scan_origin.push_back(block.cloud.scan_origin[i]);
+    }
   }
   return out;
 }

@@ -598,15 +598,23 @@ TEST(CompletionStem, FillsNothingWhereTheSensorSawThrough) {
   scene.gaps = {{0.4, 0.6}};
   const auto block = makeBlock(scene);
   const Plant& plant = block->plants[0];
-  std::vector<SightLine> sight;
+  PointCloud cloud = block->cloud;
+  cloud.scan_origin.assign(cloud.size(), kNoScanOrigin);
+  const auto addBeam = [&](const Vector3d& origin, const Vector3d& end) {
+    cloud.scan_origin.push_back(static_cast<std::uint16_t>(cloud.scan_origins.size()));
+    cloud.scan_origins.push_back(origin.cast<float>());
+    cloud.points.push_back(end.cast<float>());
+  };
   for (int i = 0; i < 8; ++i) {  // beams through the gap, and some past the stem below it
     const double s = 0.47 + 0.01 * i;
     const Vector3d middle = scene.stem.axisAt(s);
     const Vector3d way(0.3, 1.0, 0.1);
-    sight.push_back({(middle - way).cast<float>(), (middle + 0.4 * way).cast<float>()});
+    addBeam(middle - way, middle + 0.4 * way);
     const Vector3d beside = scene.stem.axisAt(0.2 + 0.01 * i) + Vector3d(0.012, 0.0, 0.0);
-    sight.push_back({(beside - Vector3d(0.0, 1.0, 0.0)).cast<float>(),
-                     (beside + Vector3d(0.0, 1.0, 0.0)).cast<float>()});
+    addBeam(beside - Vector3d(0.0, 1.0, 0.0), beside + Vector3d(0.0, 1.0, 0.0));
+    // Right through where points of the stem were measured: they are the better witnesses.
+    const Vector3d measured = scene.stem.axisAt(0.8 + 0.01 * i);
+    addBeam(measured - way, measured + 0.4 * way);
   }
   const auto filledBetween = [&](const CompletedStem& stem, double begin, double end) {
     return std::count_if(stem.points.begin(), stem.points.end(), [&](const Vector3f& p) {
@@ -615,13 +623,13 @@ TEST(CompletionStem, FillsNothingWhereTheSensorSawThrough) {
     });
   };
   const CompletedStem blind = completeStem(block->cloud, plant.stem, plant.axis, block->ground, {});
-  const CompletedStem seeing =
-      completeStem(block->cloud, plant.stem, plant.axis, block->ground, {}, nullptr, sight);
+  const CompletedStem seeing = completeStem(cloud, plant.stem, plant.axis, block->ground, {});
   EXPECT_EQ(seeing.solution.flags & kCompletionSeenEmpty, kCompletionSeenEmpty);
   EXPECT_EQ(blind.solution.flags & kCompletionSeenEmpty, 0);
   EXPECT_GT(filledBetween(blind, 0.47, 0.54), 100);
   EXPECT_EQ(filledBetween(seeing, 0.47, 0.54), 0);
   EXPECT_EQ(filledBetween(seeing, 0.2, 0.3), filledBetween(blind, 0.2, 0.3));
+  EXPECT_EQ(filledBetween(seeing, 0.8, 0.9), filledBetween(blind, 0.8, 0.9));
 }
 
 TEST(CompletionStem, SmoothsMeasuredPointsOfThePictureOnly) {

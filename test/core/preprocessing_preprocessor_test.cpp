@@ -64,6 +64,44 @@ Scene smallField(unsigned seed = 1U) {
   return scene;
 }
 
+TEST(Preprocessor, KeepsWhereTheSensorWasWhileItStoodStill) {
+  Preprocessor preprocessor(unlimitedRange(), "map");
+  Eigen::Isometry3d T_map_sensor = kIdentity;
+  const auto addPost = [&](double x, double y, bool has_origin) {
+    Scan scan;  // a post of 40 voxels at (x, y) of the map
+    for (int i = 0; i < 40; ++i) {
+      const Eigen::Vector3d p(x, y, 0.5 + 0.004 * i);
+      scan.cloud.points.push_back((T_map_sensor.inverse() * p).cast<float>());
+    }
+    if (has_origin) scan.origin = Eigen::Vector3d::Zero();
+    preprocessor.addScan(scan, T_map_sensor);
+  };
+  preprocessor.addScan(patch(0.0, 2.0, kStart, 0.05, 0.0), kIdentity);
+  T_map_sensor.translation() = Eigen::Vector3d(0.2, 0.3, 1.0);
+  addPost(0.5, 0.5, true);  // the first: nobody knows whether the sensor moves
+  T_map_sensor.translation().x() += 0.005;
+  addPost(0.9, 0.5, true);
+  addPost(1.3, 0.5, false);
+  addPost(1.3, 0.9, true);  // after a scan of which it is not known
+  T_map_sensor.translation().x() += 0.05;
+  addPost(1.3, 1.3, true);
+  const Block block = preprocessor.makeBlock({0, 0}, true);
+  ASSERT_EQ(block.cloud.scan_origin.size(), block.cloud.size());
+  std::size_t known = 0U;
+  for (std::size_t i = 0; i < block.cloud.size(); ++i) {
+    const Eigen::Vector3d p = block.cloud.mapPoint(i);
+    const std::uint16_t origin = block.cloud.scan_origin[i];
+    EXPECT_EQ(origin != kNoScanOrigin, (p - Eigen::Vector3d(0.9, 0.5, p.z())).norm() < 0.01);
+    if (origin == kNoScanOrigin) continue;
+    ++known;
+    ASSERT_LT(origin, block.cloud.scan_origins.size());
+    const Eigen::Vector3d sensor =
+        block.cloud.origin + block.cloud.scan_origins[origin].cast<double>();
+    EXPECT_LT((sensor - Eigen::Vector3d(0.205, 0.3, 1.0)).norm(), 1e-5);
+  }
+  EXPECT_GT(known, 30U);
+}
+
 TEST(Preprocessor, SameBlockWhateverTheSplitInScans) {
   const Scene scene = smallField();
   Preprocessor whole(unlimitedRange(), "map");

@@ -44,6 +44,9 @@ PointCloud someCloud(std::size_t size) {
     cloud.points.emplace_back(f, 2.0F * f, -f);
     cloud.colors.push_back(static_cast<std::uint32_t>(0x010203U * i));
   }
+  cloud.scan_origins = {{1.0F, 2.0F, 3.0F}, {4.0F, 5.0F, 6.0F}};
+  cloud.scan_origin.assign(cloud.size(), 1U);
+  cloud.scan_origin.back() = kNoScanOrigin;
   return cloud;
 }
 
@@ -108,6 +111,8 @@ void expectSame(const BlockHeader& a, const BlockHeader& b) {
 }
 
 void expectSame(const PointCloud& a, const PointCloud& b) {
+  EXPECT_EQ(a.scan_origins, b.scan_origins);
+  EXPECT_EQ(a.scan_origin, b.scan_origin);
   EXPECT_EQ(a.origin, b.origin);
   EXPECT_EQ(a.points, b.points);
   EXPECT_EQ(a.colors, b.colors);
@@ -238,6 +243,9 @@ TEST(Wire, RefusesWhatDoesNotFitTogether) {
   EXPECT_THROW((overTheWire<CompletedFieldBlock, CompletedBlock>(completed)), std::exception);
 
   auto block = overTheWire<Block, FieldBlock>(fieldBlock());
+  block.cloud.scan_origin[0] = 7U;
+  EXPECT_THROW((overTheWire<FieldBlock, Block>(block)), std::exception);
+  block.cloud.scan_origin[0] = 0U;
   block.cloud.colors.pop_back();
   EXPECT_THROW((overTheWire<FieldBlock, Block>(block)), std::exception);
 }

@@ -6,6 +6,8 @@
 
 namespace field_phenotyping {
 
+constexpr std::uint16_t kNoScanOrigin = 0xFFFFU;
+
 /// A point cloud in coordinates local to `origin`.
 ///
 /// Maps in UTM have coordinates that single precision cannot hold; every cloud inside the core is
@@ -14,10 +16,15 @@ struct PointCloud {
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();  ///< [m] of the local frame, in the map frame
   std::vector<Eigen::Vector3f> points;               ///< [m] relative to `origin`
   std::vector<std::uint32_t> colors;  ///< 0x00RRGGBB, one per point, or empty: no colour known
+  /// Where the sensor was when points were first seen [m], relative to `origin`; empty: not known.
+  std::vector<Eigen::Vector3f> scan_origins;
+  /// Of each point, in `scan_origins`; kNoScanOrigin: not known. Empty: none is.
+  std::vector<std::uint16_t> scan_origin;
 
   std::size_t size() const { return points.size(); }
   bool empty() const { return points.empty(); }
   bool hasColors() const { return !colors.empty(); }
+  bool hasScanOrigins() const { return !scan_origin.empty(); }
 
   /// Position of point `i` in the map frame [m].
   Eigen::Vector3d mapPoint(std::size_t i) const { return origin + points[i].cast<double>(); }

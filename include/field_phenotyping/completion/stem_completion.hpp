@@ -7,7 +7,6 @@
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/completion/completion_flags.hpp"
-#include "field_phenotyping/completion/sight_lines.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/ground_model.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
@@ -30,11 +29,10 @@ struct CompletedStem {
 /// @param previous the stem as completed before newer scans came, or null: regions whose points and
 ///        coarse model are the same within 0.05 mm are taken over, the others solved again. The
 ///        result is that of a completion from scratch within 0.1 mm.
-/// @param sight beams through the surroundings of the stem: nothing is filled in where they saw
-///        empty space; empty: not known
+/// Nothing is filled in where nothing was measured and beams saw empty space, as far as the cloud's
+/// scan origins are known.
 CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
                            const GroundModel& ground, const CompletionParameters& parameters,
-                           const StemState* previous = nullptr,
-                           const std::vector<SightLine>& sight = {});
+                           const StemState* previous = nullptr);
 
 }  // namespace field_phenotyping

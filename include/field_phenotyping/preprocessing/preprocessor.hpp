@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,9 @@ namespace field_phenotyping {
 struct Scan {
   PointCloud cloud;             ///< sensor frame [m]; non-finite points are allowed and dropped
   std::uint64_t stamp_ns = 0U;  ///< [ns since the epoch]
+  /// Where the sensor was, in the scan's frame [m]; none: not known, as of registered scans. It is
+  /// kept for the points' beams while the sensor moves by at most 1 cm from scan to scan.
+  std::optional<Eigen::Vector3d> origin = {};
 };
 
 /// What became of the points of one scan.

@@ -30,9 +30,19 @@ class VoxelTile {
   /// Adds a point; returns whether it opened a new voxel. `color` is ignored without `with_color`.
   bool insert(const Eigen::Vector3f& p, float voxel_size, bool with_color, std::uint32_t color);
 
+  /// Notes where the sensor was when it saw the point that opened the newest voxel [m].
+  void noteOrigin(const Eigen::Vector3f& sensor);
+
   /// Centroids in the order in which their voxels were opened.
   const Eigen::Vector3f& centroid(std::size_t i) const { return voxels_[i].mean; }
   std::uint32_t color(std::size_t i) const;
+
+  /// Where the sensor was, scan by scan, as far as scans opened voxels.
+  const std::vector<Eigen::Vector3f>& origins() const { return origins_; }
+  /// Of a voxel's first point, in origins(); kNoScanOrigin: not known.
+  std::uint16_t origin(std::size_t i) const {
+    return i < origin_.size() ? origin_[i] : kNoScanOrigin;
+  }
 
   std::size_t size() const { return voxels_.size(); }
   bool hasColors() const { return !colors_.empty(); }
@@ -46,6 +56,8 @@ class VoxelTile {
   KeyMap<std::uint32_t> index_;  // of voxels_, by key
   std::vector<Voxel> voxels_;
   std::vector<std::array<std::uint64_t, 4>> colors_;  // sums of red, green, blue; how many
+  std::vector<Eigen::Vector3f> origins_;
+  std::vector<std::uint16_t> origin_;  // of the voxels, as far as any is known
 };
 
 /// Tiles by index, each with its place in the map frame. Tiles open as points arrive.
