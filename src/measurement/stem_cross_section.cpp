@@ -41,6 +41,10 @@ constexpr double kMaxBlur = 0.4;        // noise over radius beyond which a circ
 constexpr double kArcEndStddev = 0.35;  // of the radius, in standard deviations of the noise
 constexpr double kArcEndBlur = 0.7;     // share of the arc that noise over radius adds
 constexpr double kFullArc = 0.72;
+// A range sensor's noise lies along its beams, and less of it than assumed moves points outwards:
+// by up to noise^2 / (2 radius), of which this share, from fields seen from two sides, is
+// uncertain.
+constexpr double kUnevenNoiseStddev = 0.5 * 0.25;
 constexpr double kPartArc = 0.15;
 constexpr int kSectors = 12;  // patches that the covariance is checked on
 constexpr int kSlabs = 3;
@@ -603,6 +607,7 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
   const double seen = result.arc_coverage - kArcEndBlur * noise / p[kRadius];
   const double unseen = std::clamp((kFullArc - seen) / kPartArc, 0.0, 1.0);
   covariance(kRadius, kRadius) += std::pow(kArcEndStddev * unseen * noise, 2);
+  covariance(kRadius, kRadius) += std::pow(kUnevenNoiseStddev * noise * noise / p[kRadius], 2);
 
   // 4. Traits.
   result.valid = true;

@@ -57,8 +57,8 @@ struct StemCrossSection {
 /// of points around the stem is assumed, so that unseen sides are no evidence. The estimating
 /// equations are solved by Newton's method with scoring as the safe step; the noise is found by
 /// residual maximum likelihood. The covariance is the inverse of the observed information (Louis
-/// 1982), widened where patches of the surface disagree by more, for few points, and for half-seen
-/// arcs.
+/// 1982), widened where patches of the surface disagree by more, for few points, for half-seen
+/// arcs, and because the noise may not be the same in all directions.
 ///
 /// Priors keep sparse and half-seen stems sane: those of `prior`, weak ones by default, and weak
 /// ones on tilt, curvature and twist. As the larger of two noisy semi-axes reads too large, `major`
