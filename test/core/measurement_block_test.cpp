@@ -243,26 +243,6 @@ TEST(Measurement, TopOfAnyOrganCountsAndSparseTipsAreUncertain) {
   EXPECT_NEAR(measureOne(builder, paper).height.value, 2.28, 1e-3);
 }
 
-TEST(Measurement, TipInANeighboursPlaceIsDoubtful) {
-  PlantTruth neighbour;
-  neighbour.base = {1.2, 1.0};
-  const auto heightWithTipAt = [&](double x) {
-    BlockBuilder builder;
-    builder.soil(kFlat).plant(PlantTruth(), 4U);
-    std::vector<Eigen::Vector3d> leaf;
-    for (int i = 0; i <= 20; ++i) leaf.emplace_back(x, 1.0, 2.0 + 0.005 * i);
-    builder.organ(leaf).plant(neighbour, 5U, false);
-    return measureOne(builder).height;
-  };
-  const Trait own = heightWithTipAt(1.05);
-  EXPECT_NEAR(own.value, 2.1, 0.01);
-  EXPECT_LT(own.stddev, 0.02);
-  const Trait doubtful = heightWithTipAt(1.15);
-  EXPECT_NEAR(doubtful.value, 2.05, 0.01);
-  EXPECT_GT(doubtful.stddev, 0.04);
-  EXPECT_LT(doubtful.stddev, 0.08);
-}
-
 TEST(Measurement, MissingSoilIsFlagged) {
   BlockBuilder missing;
   missing.soil(kFlat, 0.004F, false, false).plant(PlantTruth(), 5U);

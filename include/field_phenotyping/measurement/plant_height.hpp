@@ -16,11 +16,9 @@ struct PlantHeight {
 
 /// Vertical distance from the soil at the plant's base to the plant's top (paper 2.7). The beams
 /// miss the very tip: the mean spacing in height of the highest points is added, and enters the
-/// standard deviation beside that of the soil. What reaches above the plant's highest point on its
-/// own side, into the place of a neighbour, may be the neighbour's: half of it counts, and as much
-/// is taken for its standard deviation. Without soil in the block the height is that above the
-/// lowest point of the plant, its standard deviation that of the sampling only. In mode "paper":
-/// the highest point, nothing added. Thread-safe; deterministic.
+/// standard deviation beside that of the soil. Without soil in the block the height is that above
+/// the lowest point of the plant, its standard deviation that of the sampling only. In mode
+/// "paper": the highest point, nothing added. Thread-safe; deterministic.
 PlantHeight measurePlantHeight(const SegmentedBlock& block, const Plant& plant,
                                const MeasurementParameters& parameters);
 
