@@ -25,8 +25,8 @@ void writePhenotypeCsv(const std::string& path, const std::vector<Phenotype>& pl
 void writePhenotypeGeoJson(const std::string& path, const std::vector<Phenotype>& plants,
                            const std::string& frame_id = "map");
 
-/// Writes the rows that these plants stand in, as summariseRows() finds them: a header row, then one
-/// row a row; metres, map frame. As safe for readers as writePhenotypeCsv().
+/// Writes the rows that these plants stand in, as summariseRows() finds them: a header row, then
+/// one row a row; metres, map frame. As safe for readers as writePhenotypeCsv().
 /// @throws std::runtime_error naming the file and the cause
 void writeRowsCsv(const std::string& path, const std::vector<Phenotype>& plants);
 

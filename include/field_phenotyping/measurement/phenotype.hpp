@@ -21,7 +21,7 @@ enum QualityFlag : std::uint32_t {
   kTruncated = 1U << 7U,           ///< the plant reaches the border of the data
   kLowConfidence = 1U << 8U,       ///< weak stem evidence: may not be a plant at all
   kPriorDriven = 1U << 9U,         ///< a prior, not the points, decides the value
-  kMergedSuspect = 1U << 10U,  ///< stem is as flat, or scatters as much, as two in one
+  kMergedSuspect = 1U << 10U,      ///< stem is as flat, or scatters as much, as two in one
 };
 
 /// Lower-case names of the flags that are set, joined by '|'; "ok" when none is.
