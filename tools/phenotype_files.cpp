@@ -147,7 +147,8 @@ std::string cell(double value) {
   if (!std::isfinite(value)) return "nan";
   constexpr double kSmall = 1e-2;  // as volumes of stems are [m^3]
   char text[64];
-  std::snprintf(text, sizeof(text), std::abs(value) < kSmall ? "%.9f" : "%.6f", value);
+  const bool small = value != 0.0 && std::abs(value) < kSmall;
+  std::snprintf(text, sizeof(text), small ? "%.9f" : "%.6f", value);
   return text;
 }
 std::string cell(const std::string& value) {

@@ -36,6 +36,8 @@ TEST(FuseTraits, CoversTheTruthAndKnowsMore) {
   for (const int passes : {2, 3, 5}) {
     int covered = 0;
     double stddevs = 0.0;
+    double weights = 0.0;
+    for (int k = 0; k < passes; ++k) weights += 1.0 / std::pow(0.0005 * (1 + k), 2);
     constexpr int kRounds = 20000;
     for (int round = 0; round < kRounds; ++round) {
       std::vector<Trait> traits;
@@ -49,7 +51,7 @@ TEST(FuseTraits, CoversTheTruthAndKnowsMore) {
     }
     EXPECT_GT(covered, 0.94 * kRounds) << passes;
     EXPECT_LT(covered, 0.985 * kRounds) << passes;
-    EXPECT_LT(stddevs / kRounds, 0.00052) << passes;
+    EXPECT_LT(stddevs / kRounds, 1.2 / std::sqrt(weights)) << passes;
   }
 }
 
