@@ -23,11 +23,11 @@ const ros::Duration kTfMemory(60.0);
 // Coarser coordinates than this spoil a stem's diameter [m].
 constexpr double kCoarse = 0.001;
 constexpr std::chrono::seconds kFlushLimit(120);
-// A sensor that is so far from where it was heading has not moved, the map has: what a rover may
-// stray by within a scan's time, and accelerate at.
-constexpr double kMapJump = 0.04;      // [m]
-constexpr double kAcceleration = 1.0;  // [m/s^2]
-constexpr double kLongestStep = 0.5;   // [s] between scans, beyond which nothing can be said
+// A sensor that is so far from where it was heading has not moved, the map has: within a step even
+// a sharp turn (8 m/s^2) leaves it within half of that.
+constexpr double kMapJump = 0.045;  // [m]
+const ros::Duration kStep(0.05);
+const ros::Duration kLongestLook(0.5);  // back from a scan
 
 /// tf2 knows no leading slash, old drivers still write it.
 std::string withoutSlash(const std::string& frame) {
@@ -212,7 +212,7 @@ void PreprocessingStage::place(const sensor_msgs::PointCloud2ConstPtr& message,
     registered_ = !registered_;
     preprocessor_.setParameters(effectiveParameters());
   }
-  noticeMapJump(message->header.stamp, T_target_sensor);
+  noticeMapJump(message->header);
   const ScanReport report = preprocessor_.addScan(scan, T_target_sensor);
   ++scans_added_;
   only_scan_ = scans_added_ == 1U ? message : nullptr;
@@ -261,7 +261,7 @@ void PreprocessingStage::noticeTimeJump(const ros::Time& stamp) {
                                      " s (a bag that starts again?): the open blocks are given up, "
                                      "measured plants are kept");
     preprocessor_.reset();
-    fixes_.clear();
+    last_fix_ = ros::Time();
     scans_added_ = 0U;
     revision_base_ = 0U;
     newest_revision_ = 0U;
@@ -273,26 +273,19 @@ void PreprocessingStage::noticeTimeJump(const ros::Time& stamp) {
 /// When the SLAM moves its map, scans from before and after do not fit together: two half stems a
 /// few centimetres apart measure as one thick one. What was seen so far is handed on as it is, and
 /// the same plants are measured anew, as in another pass.
-void PreprocessingStage::noticeMapJump(const ros::Time& stamp,
-                                       const Eigen::Isometry3d& T_target_sensor) {
-  if (registered_ || stamp.isZero()) return;
-  const Fix now{stamp, T_target_sensor.translation()};
-  bool jumped = false;
+void PreprocessingStage::noticeMapJump(const std_msgs::Header& header) {
+  if (registered_ || header.stamp.isZero()) return;
+  const ros::Time since = std::max(last_fix_, header.stamp - kLongestLook);
+  last_fix_ = header.stamp;
   double off = 0.0;
-  if (fixes_.size() == 2U) {
-    const double before = (fixes_[1].stamp - fixes_[0].stamp).toSec();
-    const double step = (now.stamp - fixes_[1].stamp).toSec();
-    if (before > 0.0 && before < kLongestStep && step > 0.0 && step < kLongestStep) {
-      const Eigen::Vector3d velocity = (fixes_[1].position - fixes_[0].position) / before;
-      off = (now.position - fixes_[1].position - step * velocity).norm();
-      const double longest = std::max(before, step);
-      jumped = off > kMapJump + kAcceleration * longest * longest;
-    }
-    fixes_.pop_front();
+  for (ros::Time time = header.stamp; time > since; time -= kStep) {
+    const auto now = sensorAt(header.frame_id, time);
+    const auto before = sensorAt(header.frame_id, time - kStep);
+    const auto earlier = sensorAt(header.frame_id, time - kStep - kStep);
+    if (!now || !before || !earlier) break;
+    off = std::max(off, (*now - 2.0 * *before + *earlier).norm());
   }
-  if (jumped) fixes_.clear();
-  fixes_.push_back(now);
-  if (!jumped) return;
+  if (off < kMapJump) return;
   health_.count("map jumps");
   std::ostringstream text;
   text << "the sensor is " << off << " m from where it was heading: the SLAM has moved the map. "
@@ -301,6 +294,15 @@ void PreprocessingStage::noticeMapJump(const ros::Time& stamp,
   while (handOnBlocks(true)) {
   }
   preprocessor_.reset();
+}
+
+/// Where the sensor was in the map [m]; nothing where tf does not reach so far back.
+std::optional<Eigen::Vector3d> PreprocessingStage::sensorAt(const std::string& frame_id,
+                                                            const ros::Time& time) const {
+  const std::string frame = withoutSlash(frame_id);
+  if (!tf_buffer_.canTransform(target_frame_, frame, time)) return std::nullopt;
+  const auto transform = tf_buffer_.lookupTransform(target_frame_, frame, time);
+  return tf2::transformToEigen(transform).translation();
 }
 
 void PreprocessingStage::applyParameters() {

@@ -36,11 +36,6 @@ class PreprocessingStage {
   ~PreprocessingStage();
 
  private:
-  /// Where the sensor was.
-  struct Fix {
-    ros::Time stamp;
-    Eigen::Vector3d position = Eigen::Vector3d::Zero();  // [m]
-  };
   struct WaitingScan {
     sensor_msgs::PointCloud2ConstPtr message;
     ros::WallTime arrival;
@@ -62,7 +57,8 @@ class PreprocessingStage {
   void reportScan(const sensor_msgs::PointCloud2& message, const Scan& scan,
                   const ScanReport& report);
   void noticeTimeJump(const ros::Time& stamp);
-  void noticeMapJump(const ros::Time& stamp, const Eigen::Isometry3d& T_target_sensor);
+  void noticeMapJump(const std_msgs::Header& header);
+  std::optional<Eigen::Vector3d> sensorAt(const std::string& frame_id, const ros::Time& time) const;
   void applyParameters();
   PreprocessingParameters effectiveParameters() const;
   bool handOnBlocks(bool flush);
@@ -89,7 +85,7 @@ class PreprocessingStage {
   Preprocessor preprocessor_;
   bool registered_ = false;  // the last scan needed no transform
   ros::Time newest_stamp_;
-  std::deque<Fix> fixes_;                       // the last two
+  ros::Time last_fix_;                          // until when the sensor's path was looked at
   std::size_t scans_added_ = 0U;                // since the map was empty
   sensor_msgs::PointCloud2ConstPtr only_scan_;  // kept while it is the only one, for tuning
   Eigen::Isometry3d only_transform_ = Eigen::Isometry3d::Identity();

@@ -53,13 +53,17 @@ class FieldClient {
     // Without a pause where one drive follows another, however slow the machine.
     if (next_stamp_ + ros::Duration(5.0) < ros::Time::now()) next_stamp_ = ros::Time::now();
     for (int k = 0; k < count; ++k) {
-      Eigen::Isometry3d pose = sensorPose(back ? count - k : k, count);
+      const Eigen::Isometry3d pose = sensorPose(back ? count - k : k, count);
       publish(cloudOf(field_, pose, "lidar", next_stamp_, static_cast<std::size_t>(k),
                       static_cast<std::size_t>(count)));
       // The SLAM is later than the scan that it places.
       ros::WallDuration(0.05).sleep();
-      pose.pretranslate(shift);
-      broadcast(pose, next_stamp_);
+      for (const double late : {0.5, 0.0}) {  // of a scan's time
+        const double step = std::max(k - late, 0.0);
+        Eigen::Isometry3d estimate = sensorPose(back ? count - step : step, count);
+        estimate.pretranslate(shift);
+        broadcast(estimate, next_stamp_ - ros::Duration(0.1 * late));
+      }
       waitFor([] { return false; }, 0.05);
       next_stamp_ += ros::Duration(0.1);
     }

@@ -92,7 +92,7 @@ inline sensor_msgs::PointCloud2 cloudOf(const SyntheticField& field,
 
 /// Where the sensor is at scan `k` of `count`: it passes the field along x, looking slightly down,
 /// and starts and stops as a rover does.
-inline Eigen::Isometry3d sensorPose(int k, int count) {
+inline Eigen::Isometry3d sensorPose(double k, int count) {
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
   pose.translation() = Eigen::Vector3d(1.8 - 1.8 * std::cos(M_PI * k / count), -1.5, 1.1);
   pose.rotate(Eigen::AngleAxisd(0.4, Eigen::Vector3d::UnitZ()) *
