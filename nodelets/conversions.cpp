@@ -9,7 +9,6 @@
 #include <cstring>
 
 #include "cloud_decoder.hpp"
-
 #include "field_phenotyping/completion/completion_flags.hpp"
 
 namespace field_phenotyping {
