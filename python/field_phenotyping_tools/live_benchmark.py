@@ -78,6 +78,8 @@ def passes_table(bench, _):
 
 def _two(trait, scale):
     def text(figures):
+        if not np.isfinite(figures[trait + '_stddev_fused']):
+            return '-'
         return '{:.2f}, {:.2f}'.format(
             scale * figures[trait + '_stddev_one'], scale * figures[trait + '_stddev_fused']
         )
