@@ -6,9 +6,7 @@
 #include <cstdio>
 #include <ctime>
 #include <exception>
-#include <fstream>
 #include <nlohmann/json.hpp>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -17,6 +15,7 @@
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/completion/stem_completion.hpp"
 #include "gappy_stems.hpp"
+#include "rows_file.hpp"
 #include "simulation/progress.hpp"
 
 namespace field_phenotyping::benchmark {
@@ -148,12 +147,7 @@ void run(const Options& options) {
     }
   }
   bar.update("completing", 1.0);
-  std::ofstream file(options.output);
-  file << runner.rows().dump(1) << "\n";
-  if (!file.flush()) {
-    throw std::runtime_error(options.output +
-                             " cannot be written; is the disk full or the folder read-only?");
-  }
+  writeRows(runner.rows(), options.output);
 }
 
 }  // namespace

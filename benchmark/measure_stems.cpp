@@ -7,12 +7,10 @@
 #include <cstdio>
 #include <exception>
 #include <filesystem>
-#include <fstream>
 #include <limits>
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
-#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -26,6 +24,7 @@
 #include "found_stem.hpp"
 #include "measurement_rivals.hpp"
 #include "point_file.hpp"
+#include "rows_file.hpp"
 #include "simulation/random.hpp"
 #include "stem_pieces.hpp"
 
@@ -331,15 +330,6 @@ json measureTrunks(const Options& options) {
   return rows;
 }
 
-void write(const Options& options, const json& rows) {
-  std::ofstream file(options.output);
-  file << rows.dump(1) << "\n";
-  if (!file.flush()) {
-    throw std::runtime_error(options.output +
-                             " cannot be written; is the disk full or the folder read-only?");
-  }
-}
-
 }  // namespace
 }  // namespace field_phenotyping::benchmark
 
@@ -408,13 +398,13 @@ int main(int argc, char** argv) {
   CLI11_PARSE(app, argc, argv);
   try {
     if (pieces->parsed()) {
-      write(options, measurePieces(options));
+      writeRows(measurePieces(options), options.output);
     } else if (field->parsed()) {
-      write(options, measureField(options));
+      writeRows(measureField(options), options.output);
     } else if (real->parsed()) {
-      write(options, measureReal(options));
+      writeRows(measureReal(options), options.output);
     } else {
-      write(options, measureTrunks(options));
+      writeRows(measureTrunks(options), options.output);
     }
   } catch (const std::exception& error) {
     std::fprintf(stderr, "measure_stems: error: %s\n", error.what());

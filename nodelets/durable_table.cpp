@@ -36,18 +36,18 @@ DurableTable::DurableTable(const ros::NodeHandle& pnh, StageHealth& health)
 void DurableTable::open() {
   auto journal = std::make_unique<PhenotypeJournal>(path_, PhenotypeJournal::Access::kWrite);
   std::int64_t position = 0;
-  const std::vector<JournalReport> reports = journal->readAfter(position);
-  if (begun_ && !reports.empty()) {
+  PlantTable earlier;
+  const bool fresh = readInto(earlier, *journal, position) == 0U;
+  if (begun_ && !fresh) {
     throw JournalError(
         "the journal " + path_ +
         " could not be read at the start and turns out to hold plants, whose ids may "
         "have been given again meanwhile: nothing is written to it. Start again");
   }
-  for (const JournalReport& report : reports) table_.update(report.source, report.plants);
   journal_ = std::move(journal);
-  if (table_.size() > 0U) {
-    ROS_INFO_STREAM("going on with the " << table_.size() << " plants of " << path_);
-  }
+  if (fresh) return;
+  table_ = std::move(earlier);
+  ROS_INFO_STREAM("going on with the " << table_.size() << " plants of " << path_);
 }
 
 PlantTable::Change DurableTable::update(const BlockHeader& header,
@@ -88,9 +88,7 @@ void restorePlants(const ros::NodeHandle& pnh, StageHealth& health, PlantRegistr
     const PhenotypeJournal journal(path, PhenotypeJournal::Access::kRead);
     PlantTable table;
     std::int64_t position = 0;
-    for (const JournalReport& report : journal.readAfter(position)) {
-      table.update(report.source, report.plants);
-    }
+    readInto(table, journal, position);
     registry.restore(table.known());
   } catch (const JournalError& error) {
     health.trouble("journal", std::string(error.what()) + ". Plants of earlier runs get new ids");

@@ -250,6 +250,12 @@ std::vector<JournalReport> PhenotypeJournal::readAfter(std::int64_t& position) c
   return reports;
 }
 
+std::size_t readInto(PlantTable& table, const PhenotypeJournal& journal, std::int64_t& position) {
+  const std::vector<JournalReport> reports = journal.readAfter(position);
+  for (const JournalReport& report : reports) table.update(report.source, report.plants);
+  return reports.size();
+}
+
 std::string moveJournalAside(const std::string& path) {
   namespace fs = std::filesystem;
   std::error_code error;

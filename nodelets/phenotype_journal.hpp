@@ -69,6 +69,10 @@ class PhenotypeJournal {
   std::unique_ptr<sqlite3, int (*)(sqlite3*)> database_;
 };
 
+/// Adds the reports after `position`, which is moved on, to `table`. @return how many there were.
+/// @throws JournalError
+std::size_t readInto(PlantTable& table, const PhenotypeJournal& journal, std::int64_t& position);
+
 /// Gives the journal at `path` another name beside it, so that a new one begins; nothing where
 /// there is none. @return the other name, or empty. @throws JournalError
 std::string moveJournalAside(const std::string& path);

@@ -100,21 +100,18 @@ class ReadmeTest(unittest.TestCase):
                 explained = [word for cell in first_cells for word in re.findall(r'`(\w+)`', cell)]
                 self.assertEqual(sorted(columns), sorted(explained), name)
 
-    def test_every_quality_flag_is_explained(self):
-        flags = re.findall(
-            r'^uint32 (\w+) = (\d+)', read('msg', 'PlantPhenotype.msg'), re.MULTILINE
-        )
-        table = read('README.md').split('### Quality flags')[1].split('\n#')[0]
+    def assert_flags_explained(self, constants, section):
+        """Each constant of PlantPhenotype.msg that the pattern finds is in the section's table."""
+        flags = re.findall(constants, read('msg', 'PlantPhenotype.msg'), re.MULTILINE)
+        table = read('README.md').split('### ' + section)[1].split('\n#')[0]
         explained = re.findall(r'^\| `(\w+)` \| (\d+) \|', table, re.MULTILINE)
         self.assertEqual([(name.lower(), bit) for name, bit in flags if bit != '0'], explained)
 
+    def test_every_quality_flag_is_explained(self):
+        self.assert_flags_explained(r'^uint32 (\w+) = (\d+)', 'Quality flags')
+
     def test_every_completion_flag_is_explained(self):
-        flags = re.findall(
-            r'^uint8 COMPLETION_(\w+) = (\d+)', read('msg', 'PlantPhenotype.msg'), re.MULTILINE
-        )
-        table = read('README.md').split('### Completion flags')[1].split('\n#')[0]
-        explained = re.findall(r'^\| `(\w+)` \| (\d+) \|', table, re.MULTILINE)
-        self.assertEqual([(name.lower(), bit) for name, bit in flags if bit != '0'], explained)
+        self.assert_flags_explained(r'^uint8 COMPLETION_(\w+) = (\d+)', 'Completion flags')
 
     def test_files_that_are_named_exist(self):
         links = re.findall(r'\]\((?!http|#)([^)#]+)\)', read('README.md'))

@@ -113,9 +113,7 @@ class PhenotypeRecorder {
         position_ = 0;
         identity_ = identity;
       }
-      const std::vector<JournalReport> reports = journal.readAfter(position_);
-      for (const JournalReport& report : reports) table_.update(report.source, report.plants);
-      if (reports.empty()) return false;
+      if (readInto(table_, journal, position_) == 0U) return false;
       frame_id_ = journal.frameId();
     } catch (const JournalError& error) {
       ROS_ERROR_STREAM_THROTTLE(5.0, error.what());

@@ -3,6 +3,8 @@
 The programs are found through PHENOTYPE_CLOUD and SIMULATE_FIELD, which ctest sets.
 """
 
+import contextlib
+import io
 import os
 import re
 import subprocess
@@ -16,6 +18,7 @@ sys.path.insert(0, os.path.join(ROOT, 'test', 'python'))
 sys.path.insert(0, os.path.join(ROOT, 'python'))
 
 from support import FolderTest, write_pcd  # noqa: E402, F401
+from field_phenotyping_tools import benchmarks  # noqa: E402
 from field_phenotyping_tools.pcd import read_pcd  # noqa: E402
 
 XYZ = np.dtype([('x', 'f4'), ('y', 'f4'), ('z', 'f4')])
@@ -59,6 +62,33 @@ class ProgramTest(FolderTest):
             universal_newlines=True,
         )
         return done.returncode, done.stdout
+
+    def printed(self, table, seed=3, **settings):
+        """Figures and standard output of a table of a benchmark program."""
+        out = io.StringIO()
+        with benchmarks.Bench(seed) as bench, contextlib.redirect_stdout(out):
+            rows = table(bench, self.folder, **settings)
+        print(out.getvalue())
+        return rows, out.getvalue()
+
+    def assert_benchmark_command_line(self, name, tables):
+        """A benchmark program explains its tables, refuses others, and skips what has no data."""
+
+        def run(*arguments):
+            return subprocess.run(
+                [sys.executable, os.path.join(ROOT, 'benchmark', name)] + list(arguments),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                universal_newlines=True,
+                cwd=self.folder,
+                env=dict(os.environ, FIELD_PHENOTYPING_DATA=self.path('nowhere')),
+            )
+
+        said = run('--help').stdout
+        for table in tables:
+            self.assertIn(table, said)
+        self.assertIn('no table nothing', run('nothing').stderr)
+        self.assertIn('SKIPPED real', run('real').stdout)
 
     def assert_refused(self, result, *fragments):
         """One clear complaint that holds all fragments, and a failing exit status: no crash."""

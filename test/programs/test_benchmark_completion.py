@@ -1,26 +1,14 @@
 """The completion benchmark over a few stems, checked at the figures that it is to reach."""
 
-import contextlib
-import io
 import os
-import subprocess
-import sys
 import unittest
 
-from program_support import ROOT, ProgramTest
+from program_support import ProgramTest
 
 from field_phenotyping_tools import benchmarks, completion_benchmark
 
 
 class BenchmarkCompletion(ProgramTest):
-    def printed(self, table, seed=3, **settings):
-        """Figures and standard output of a table."""
-        out = io.StringIO()
-        with benchmarks.Bench(seed) as bench, contextlib.redirect_stdout(out):
-            rows = table(bench, self.folder, **settings)
-        print(out.getvalue())
-        return rows, out.getvalue()
-
     def test_gaps(self):
         for seed in (3, 4):
             rows, _ = self.printed(completion_benchmark.gaps, seed, stems=3)
@@ -69,23 +57,7 @@ class BenchmarkCompletion(ProgramTest):
         self.assertLessEqual(rows['bent by 20 deg, gap 20 cm']['rmse'], 1.5e-3)
 
     def test_command_line(self):
-        program = os.path.join(ROOT, 'benchmark', 'benchmark_completion')
-
-        def run(*arguments):
-            return subprocess.run(
-                [sys.executable, program] + list(arguments),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                universal_newlines=True,
-                cwd=self.folder,
-                env=dict(os.environ, FIELD_PHENOTYPING_DATA=self.path('nowhere')),
-            )
-
-        said = run('--help').stdout
-        for name in completion_benchmark.TABLES:
-            self.assertIn(name, said)
-        self.assertIn('no table nothing', run('nothing').stderr)
-        self.assertIn('SKIPPED real', run('real').stdout)
+        self.assert_benchmark_command_line('benchmark_completion', completion_benchmark.TABLES)
         refused = self.run_program('COMPLETE_STEMS', '--output', self.path('no', 'folder.json'),
                                    '--stems', '1', '--points', '50')  # fmt: skip
         self.assert_refused(refused, 'folder.json')

@@ -1,28 +1,16 @@
 """The measurement benchmark over few stems and a small field, checked at what it is to show."""
 
-import contextlib
-import io
 import os
-import subprocess
-import sys
 import unittest
 
-from program_support import ROOT, ProgramTest
+from program_support import ProgramTest
 
-from field_phenotyping_tools import benchmarks, measurement_benchmark
+from field_phenotyping_tools import measurement_benchmark
 
 SMALL_FIELD = ('--rows', '2', '--plants-per-row', '8', '--points', '120000')
 
 
 class BenchmarkMeasurement(ProgramTest):
-    def printed(self, table, seed=3, **settings):
-        """Figures and standard output of a table."""
-        out = io.StringIO()
-        with benchmarks.Bench(seed) as bench, contextlib.redirect_stdout(out):
-            rows = table(bench, self.folder, **settings)
-        print(out.getvalue())
-        return rows, out.getvalue()
-
     def test_monte_carlo(self):
         sweeps = {'diameter': ('--diameter', 'mm', 1e-3, (12, 30))}
         rows, said = self.printed(
@@ -95,23 +83,7 @@ class BenchmarkMeasurement(ProgramTest):
         self.assertGreater(rows['all']['points'], 100)
 
     def test_command_line(self):
-        program = os.path.join(ROOT, 'benchmark', 'benchmark_measurement')
-
-        def run(*arguments):
-            return subprocess.run(
-                [sys.executable, program] + list(arguments),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                universal_newlines=True,
-                cwd=self.folder,
-                env=dict(os.environ, FIELD_PHENOTYPING_DATA=self.path('nowhere')),
-            )
-
-        said = run('--help').stdout
-        for name in measurement_benchmark.TABLES:
-            self.assertIn(name, said)
-        self.assertIn('no table nothing', run('nothing').stderr)
-        self.assertIn('SKIPPED real', run('real').stdout)
+        self.assert_benchmark_command_line('benchmark_measurement', measurement_benchmark.TABLES)
         refused = self.run_program('MEASURE_STEMS', 'pieces', '--output',
                                    self.path('no', 'folder.json'), '--trials', '1')  # fmt: skip
         self.assert_refused(refused, 'folder.json')
