@@ -26,7 +26,7 @@ std::string flagNames(std::uint32_t flags) {
 
 double qualityScore(const Phenotype& phenotype) {
   constexpr double kGoodQuality = 0.7, kGoodArc = 0.75;
-  constexpr double kUnmeasured = 0.25, kBad = 0.5, kDoubtful = 0.8;
+  constexpr double kUnmeasured = 0.25, kWrong = 0.4, kBad = 0.5, kDoubtful = 0.8;
   const auto known = [](const Trait& trait, double half) {
     const double relative = trait.stddev / trait.value / half;
     return std::isfinite(relative) ? 1.0 / (1.0 + relative * relative) : kUnmeasured;
@@ -36,10 +36,10 @@ double qualityScore(const Phenotype& phenotype) {
   if (std::isfinite(phenotype.arc_coverage)) {
     score *= std::min(phenotype.arc_coverage / kGoodArc, 1.0);
   }
-  for (const QualityFlag flag :
-       {kPoorFit, kPriorDriven, kMergedSuspect, kGroundMissing, kLowConfidence}) {
+  for (const QualityFlag flag : {kPoorFit, kPriorDriven, kGroundMissing, kLowConfidence}) {
     if ((phenotype.flags & flag) != 0U) score *= kBad;
   }
+  if ((phenotype.flags & kMergedSuspect) != 0U) score *= kWrong;
   for (const QualityFlag flag : {kArcBelow, kHeightShifted, kGroundExtrapolated, kTruncated}) {
     if ((phenotype.flags & flag) != 0U) score *= kDoubtful;
   }

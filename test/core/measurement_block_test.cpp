@@ -512,10 +512,12 @@ TEST(Score, FallsWithEachReasonToDoubt) {
   EXPECT_LE(good, 1.0);
   p.flags = kShortStem;  // says nothing of the trust
   EXPECT_EQ(qualityScore(p), good);
-  for (const QualityFlag flag : {kPoorFit, kPriorDriven, kMergedSuspect, kGroundMissing}) {
+  for (const QualityFlag flag : {kPoorFit, kPriorDriven, kGroundMissing}) {
     p.flags = flag;
     EXPECT_DOUBLE_EQ(qualityScore(p), 0.5 * good);
   }
+  p.flags = kMergedSuspect;
+  EXPECT_DOUBLE_EQ(qualityScore(p), 0.4 * good);
   p.flags = kArcBelow;
   EXPECT_DOUBLE_EQ(qualityScore(p), 0.8 * good);
   p.flags = kOk;

@@ -340,18 +340,19 @@ TEST(CrossSection, SeenInPart) {
     scene.noise = 0.001;
     scene.arc = arc;
     const Score score = printed("noise 1, arc " + std::to_string(arc).substr(0, 3), scene);
-    EXPECT_LT(score.rmse, arc > 200.0 ? 0.5 : arc > 150.0 ? 1.6 : 4.5);
-    EXPECT_LT(std::abs(score.bias), arc > 150.0 ? 0.5 : 2.5);
-    EXPECT_GT(score.coverage, 0.80);
+    EXPECT_LT(score.rmse, 1.3 * score.bound);
+    EXPECT_LT(std::abs(score.bias), arc > 150.0 ? 0.5 : 1.5);
+    EXPECT_GT(score.coverage, 0.84);
   }
   Scene scene;
   scene.arc = 270.0;
   const Score score = printed("noise 3, arc 270", scene);
-  EXPECT_LT(score.rmse, 1.6);
+  EXPECT_LT(score.rmse, 1.3 * score.bound);
   scene.arc = 180.0;
   const Score half = printed("noise 3, arc 180", scene);
-  EXPECT_LT(half.rmse, 4.0);
-  EXPECT_GT(half.coverage, 0.70);
+  EXPECT_LT(half.rmse, 1.3 * half.bound);
+  EXPECT_LT(std::abs(half.bias), 0.6);
+  EXPECT_GT(half.coverage, 0.86);
 }
 
 TEST(CrossSection, LeafPoints) {

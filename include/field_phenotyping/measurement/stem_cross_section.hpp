@@ -11,7 +11,11 @@ namespace field_phenotyping {
 struct CrossSectionPrior {
   double noise = 0.0;  ///< of a point across the stem, one axis [m]; 0: estimated
   Trait log_noise;     ///< logarithm of that, where estimated; NaN: hardly anything is known
-  Trait radius;        ///< (a + b) / 2 at height 0 [m]; NaN: from the width of the points
+  /// Of the noise: logarithm of its standard deviation along the surface's normal over `noise`,
+  /// which is the geometric mean of that and of the one along the surface. Hardly to be told from
+  /// one stem, but thick noise along the surface makes it look larger.
+  Trait elongation{0.0, 0.05};
+  Trait radius;  ///< (a + b) / 2 at height 0 [m]; NaN: from the width of the points
   double ellipticity_stddev = 0.05;  ///< of each component of (a - b) / (a + b); 0: a circle
   Trait taper{-0.15, 0.25};          ///< relative change of radius with height [1/m]
   Trait taper_change{0.0, 0.2};      ///< relative change with the square of height [1/m^2]
@@ -50,19 +54,19 @@ struct StemCrossSection {
 /// Maximum-likelihood fit of a tapering, elliptic, gently curved cylinder (paper 2.8, default
 /// mode).
 ///
-/// Each point is a point of the surface plus isotropic Gaussian noise across the axis, or an
-/// outlier spread evenly over the disc that holds all points. Noise along the surface moves points
-/// outwards, by about s^2/(2 r): given where along the surface a point lies, its distance therefore
-/// follows a Rice distribution with the surface's radius of curvature, not a normal one. No density
-/// of points around the stem is assumed, so that unseen sides are no evidence. The estimating
-/// equations are solved by Newton's method with scoring as the safe step; the noise is found by
-/// residual maximum likelihood. The covariance is the inverse of the observed information (Louis
-/// 1982), widened where patches of the surface disagree by more, for few points, for half-seen
-/// arcs, and because the noise may not be the same in all directions.
+/// Each point is a point of the surface plus Gaussian noise across the axis, or an outlier spread
+/// evenly over the disc that holds all points. Noise along the surface moves points outwards, by
+/// about s^2/(2 r), and blurs the ends of a half-seen arc; both are part of the model. How many
+/// points lie where round the stem is found with the shape (surface_mixture.hpp), so that unseen
+/// sides are no evidence. The noise is found by residual maximum likelihood. The covariance is the
+/// inverse of the observed information (Louis 1982), with the shares of the sides integrated out;
+/// it is never less than the Kanatani-Cramer-Rao bound, and widened where patches of the surface
+/// disagree by more, for few points, for half-seen arcs, and for what is not known of the noise
+/// along the surface.
 ///
 /// Priors keep sparse and half-seen stems sane: those of `prior`, weak ones by default, and weak
 /// ones on tilt, curvature and twist. As the larger of two noisy semi-axes reads too large, `major`
-/// is the posterior mean of 2a. Where the noise is above 0.4 of the radius only a circle is fitted,
+/// is the posterior mean of 2a. Where the noise is above 0.6 of the radius only a circle is fitted,
 /// and the ellipticity is what the prior says.
 ///
 /// @param points (x, y, height): x, y across the reference axis [m], which need not be centred or
