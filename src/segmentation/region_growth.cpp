@@ -65,12 +65,13 @@ std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis
 }
 
 float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midline) {
-  const StemAxis::Projection at = midline.axis.project(scene.points[i]);
-  const LocalShape& shape = scene.shapes[i];
+  return similarity(scene.shapes[i], midline.axis.project(scene.points[i]), midline.spread);
+}
 
+float similarity(const LocalShape& shape, const StemAxis::Projection& at, float spread) {
   // Distance beyond the stem's surface, in units of what noise and out-of-roundness explain.
   // Nothing but the stem itself lies within.
-  const float scale = std::hypot(midline.spread, 0.07F * at.radius);
+  const float scale = std::hypot(spread, 0.07F * at.radius);
   const float away = std::max(at.distance - at.radius, 0.0F) / scale;
   constexpr float kSoftness = 0.10F;  // similarity 0.5 at two and a half standard deviations
   const float on_surface = std::exp(-kSoftness * away * away);
@@ -87,12 +88,20 @@ float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midli
 StemScene::StemScene(const GrowthScene& scene, Midline midline, LeafBases leaf_bases)
     : cloud_(scene), midline_(std::move(midline)), leaf_bases_(std::move(leaf_bases)) {}
 
-float StemScene::similarityOf(std::uint32_t i) const {
-  const auto [known, is_new] = known_.tryEmplace(i, 0.0F);
-  if (is_new) {
-    *known = similarity(cloud_, i, midline_) *
-             (1.0F - leaf_bases_.leafShare(cloud_.points[i], midline_.axis));
-  }
+StemScene::Place StemScene::placeOf(std::uint32_t i) const {
+  const auto [known, is_new] = known_.tryEmplace(i, {});
+  if (!is_new) return *known;
+  const Eigen::Vector3f& point = cloud_.points[i];
+  const StemAxis::Projection at = midline_.axis.project(point);
+  const Eigen::Vector3f away = point - at.foot;
+  constexpr float kThinnest = 1e-4F;  // [m]
+  const float radius = std::max(at.radius, kThinnest);
+  // Noise moves points outwards on average, across a curved surface.
+  const float noise = midline_.spread / radius;
+  known->sighting = {std::atan2(away.y(), away.x()),
+                     at.distance / radius - 1.0F - 0.5F * noise * noise};
+  known->similarity = similarity(cloud_.shapes[i], at, midline_.spread) *
+                      (1.0F - leaf_bases_.leafShare(point, midline_.axis));
   return *known;
 }
 

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "field_phenotyping/segmentation/growing_surface.hpp"
 #include "field_phenotyping/segmentation/growth_adaptation.hpp"
 #include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/region_merging.hpp"
@@ -20,20 +21,58 @@ float segmentM(const StemSegment& segment, float M, const SegmentationParameters
   return std::min(static_cast<float>(share) * M, kMostM);
 }
 
-/// Step 2: a region from each start point to its end point, grown independently.
-std::vector<GrowthRegion> growRegions(const StemScene& scene,
-                                      const std::vector<StemSegment>& segments,
-                                      const GrowthSettings& settings,
-                                      const SegmentationParameters& parameters) {
+/// Regions as they have grown, and whether each goes on from those below.
+struct Regions {
+  std::vector<GrowthRegion> grown;
+  std::vector<float> evidence;  ///< that its points lie where the surface below leads
+};
+
+/// Step 2: a region from each start point to its end point, from the base up. The stem's surface is
+/// completed as they grow (2.6.1): by what it expects each is judged, and each brings it up to
+/// date.
+Regions growRegions(const StemScene& scene, const std::vector<StemSegment>& segments,
+                    const GrowthSettings& settings, const SegmentationParameters& parameters) {
   const StemAxis& axis = scene.midline().axis;
-  std::vector<GrowthRegion> regions;
+  GrowingSurface surface(scene.midline().spread / axis.radiusAt(0.5F * axis.length()));
+  float reached = 0.0F;
+  Regions regions;
+  std::vector<SurfaceSighting> joined;
   for (const StemSegment& segment : segments) {
     GrowthSettings own = settings;
     own.M = segmentM(segment, settings.M, parameters);
-    regions.push_back(
+    regions.grown.push_back(
         growRegion(scene, axis.pointAt(segment.begin), axis.pointAt(segment.end), own));
+    joined.clear();
+    for (const std::uint32_t i : regions.grown.back().points) joined.push_back(scene.sightingOf(i));
+    const float middle = 0.5F * (segment.begin + segment.end);
+    surface.advance(middle - reached);
+    reached = middle;
+    regions.evidence.push_back(surface.evidence(joined));
+    surface.update(joined);
   }
   return regions;
+}
+
+/// Distances of every region with points from the next one above that has points [m]; none where
+/// the surface that was completed below carries across the gap.
+std::vector<float> distancesLeft(const StemScene& scene, const Regions& regions,
+                                 std::vector<float> distances) {
+  constexpr float kDoubt = -1.0F;  // points may speak against it by so much: the midline, which was
+                                   // found from all of the stem, speaks for it
+  std::size_t next = 0U;
+  bool is_lowest = true;
+  for (std::size_t r = 0; r < regions.grown.size(); ++r) {
+    if (regions.grown[r].points.empty()) continue;
+    if (!is_lowest) {
+      float& distance = distances[next++];
+      const float radius = scene.midline().axis.project(regions.grown[r].start).radius;
+      if (distance <= GrowingSurface::longestCarried(radius) && regions.evidence[r] > kDoubt) {
+        distance = 0.0F;
+      }
+    }
+    is_lowest = false;
+  }
+  return distances;
 }
 
 /// All points of the regions for which `wanted` is not 0; all regions where it is empty.
@@ -64,14 +103,15 @@ Growth growOnce(const StemScene& scene, std::size_t crowd, const std::vector<Ste
                 const GrowthSettings& settings, float max_gap, float& threshold,
                 const SegmentationParameters& parameters) {
   Growth growth;
-  growth.regions = growRegions(scene, segments, settings, parameters);
+  Regions regions = growRegions(scene, segments, settings, parameters);
   const std::vector<Eigen::Vector3f>& points = scene.cloud().points;
-  const std::vector<float> distances = neighborDistances(points, growth.regions);
+  const std::vector<float> distances = neighborDistances(points, regions.grown);
   constexpr float kLeastGap = 0.5F;  // of max_gap: leaves hide as much of a sound stem
   if (!(threshold > 0.0F)) {
     threshold = initialMergingThreshold(distances, kLeastGap * max_gap, max_gap);
   }
-  growth.merged = mergeRegions(growth.regions, distances, threshold);
+  growth.merged = mergeRegions(regions.grown, distancesLeft(scene, regions, distances), threshold);
+  growth.regions = std::move(regions.grown);
   growth.points = pruneByMidline(points, pointsOf(growth.regions, growth.merged),
                                  scene.midline().axis, static_cast<float>(parameters.prune_factor));
   growth.quality = evaluateRegion(scene.cloud(), pointsOf(growth.regions).size(), growth.points,

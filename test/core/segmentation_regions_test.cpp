@@ -357,6 +357,31 @@ TEST(StemGrowth, NothingBeyondALongGap) {
   EXPECT_LT(highest(0.4F), 0.75F);
 }
 
+TEST(StemGrowth, GoesOnWhereItsSurfaceCarriesAcross) {
+  // 0.3 m of it hidden; above, the stem again, or leaves that cross the axis.
+  Points stem_above;
+  addStem(stem_above, 0.0F, 0.5F, 400U, 22U);
+  addStem(stem_above, 0.8F, 1.2F, 400U, 23U);
+  Points leaves_above;
+  addStem(leaves_above, 0.0F, 0.5F, 400U, 22U);
+  std::mt19937 random(24U);
+  std::uniform_real_distribution<float> unit(0.0F, 1.0F);
+  for (int k = 0; k < 400; ++k) {
+    const float angle = 6.2832F * unit(random);
+    const float r = 1.4F * kRadius * std::sqrt(unit(random));
+    leaves_above.emplace_back(r * std::cos(angle), r * std::sin(angle), 0.8F + 0.4F * unit(random));
+  }
+  const auto above = [](const Points& points) {
+    const Cloud cloud(points);
+    const GrownStem stem =
+        growStem(cloud.scene(), uprightMidline(1.2F), 0.4F, SegmentationParameters());
+    return std::count_if(stem.points.begin(), stem.points.end(),
+                         [&](std::uint32_t i) { return points[i].z() > 0.7F; });
+  };
+  EXPECT_GT(above(stem_above), 380);
+  EXPECT_EQ(above(leaves_above), 0);
+}
+
 TEST(StemGrowth, NothingThere) {
   const Cloud cloud({{5.0F, 5.0F, 0.3F}});
   const GrownStem stem =

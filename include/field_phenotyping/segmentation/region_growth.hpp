@@ -6,6 +6,7 @@
 #include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/parameters.hpp"
+#include "field_phenotyping/segmentation/growing_surface.hpp"
 #include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
@@ -46,9 +47,11 @@ std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis
 /// How alike point `i` is to the stem that `midline` describes, in [0, 1]: distance to the stem's
 /// surface, normal across the axis, upright shape. Compared with M.
 float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midline);
+/// The same where it is known how the point lies to the axis.
+float similarity(const LocalShape& shape, const StemAxis::Projection& at, float spread);
 
 /// The cloud with one stem's midline in it, and where leaves leave it, as far as that is known.
-/// Remembers how alike the points are to that stem: the spheres of its growth overlap, and it is
+/// Remembers how the points lie about that stem: the spheres of its growth overlap, and it is
 /// grown again and again. Not thread-safe.
 class StemScene {
  public:
@@ -56,13 +59,21 @@ class StemScene {
   const GrowthScene& cloud() const { return cloud_; }
   const Midline& midline() const { return midline_; }
   /// As similarity(), times the probability that the point is no leaf base's.
-  float similarityOf(std::uint32_t i) const;
+  float similarityOf(std::uint32_t i) const { return placeOf(i).similarity; }
+  /// Where point `i` lies about the midline.
+  SurfaceSighting sightingOf(std::uint32_t i) const { return placeOf(i).sighting; }
 
  private:
+  struct Place {
+    float similarity = 0.0F;
+    SurfaceSighting sighting;
+  };
+  Place placeOf(std::uint32_t i) const;
+
   GrowthScene cloud_;
   Midline midline_;
   LeafBases leaf_bases_;
-  mutable KeyMap<float> known_;
+  mutable KeyMap<Place> known_;
 };
 
 /// Grows one constrained region from `start` towards `end` (paper 2.4.1, Step 2, Eq 1-5): a sphere

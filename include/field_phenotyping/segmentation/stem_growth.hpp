@@ -22,9 +22,10 @@ GrownStem growCandidate(const GrowthScene& scene, Midline midline,
                         const SegmentationParameters& parameters);
 
 /// Steps 2 to 4 whole (paper 2.4.1, 2.4.2, 3.1.2): the stem is split at its branchings, every
-/// segment grown with an M of its own; regions that follow one another merge; what was
-/// over-segmented goes; while the quality is below `quality_target` the parameters are adapted and
-/// the stem is grown again. The best growth is kept.
+/// segment grown with an M of its own; regions that follow one another merge, across gaps that the
+/// surface completed below them carries across (2.6.1); what was over-segmented goes; while the
+/// quality is below `quality_target` the parameters are adapted and the stem is grown again. The
+/// best growth is kept.
 /// @param max_gap [m] longest gap that regions may merge across, from the plants' spacing
 /// Thread-safe; deterministic.
 GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_gap,
