@@ -241,7 +241,8 @@ class RegionSolver {
   }
 
   /// What the points, leaf bases among them, scatter about the surface beyond the sensor's noise:
-  /// of each patch and those round it, and of the stem as much as a few points have.
+  /// of each patch and those round it, and of the stem as much as a few points have. And what that
+  /// does to the coarse model.
   void setMisfit(CoarseMap& map) const {
     constexpr int kRows = MeasuredSurface::kPatchRows * static_cast<int>(kSlicesPerRegion);
     constexpr int kColumns = MeasuredSurface::kPatchColumns;
@@ -282,7 +283,8 @@ class RegionSolver {
     map.setMisfit([&](const SurfacePosition& place) {
       const auto row = static_cast<int>((place.s - begin_) / kHeight);
       const auto column = static_cast<int>((place.theta + kPi) / (2.0 * kPi) * kColumns);
-      return misfit[static_cast<std::size_t>(std::clamp(row, 0, kRows - 1) * kColumns +
+      return model_.prior.misfitVariance(place.theta, place.s) +
+             misfit[static_cast<std::size_t>(std::clamp(row, 0, kRows - 1) * kColumns +
                                              std::clamp(column, 0, kColumns - 1))];
     });
   }

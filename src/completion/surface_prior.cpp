@@ -731,6 +731,30 @@ class SurfacePriorFitter {
     return half;
   }
 
+  /// How much more the sum of the residuals of neighbouring points varies than if each had one of
+  /// its own: about 1 for noise. What is no cylinder departs from one with its neighbours, and many
+  /// points say little more than one of them; those that are left out count, too, for where there
+  /// are such the fit has less to go by than it believes. At least 1.
+  double clustering() const {
+    constexpr double kLength = 0.06;  // [m] of a cluster
+    constexpr std::size_t kAround = 6U;
+    constexpr double kOfNoise = 0.7;  // what noise alone gives, for the fit follows it
+    std::vector<double> sums(kAround * (1U + static_cast<std::size_t>(frame_.length() / kLength)));
+    for (std::size_t i = 0; i < unrolled_.size(); ++i) {
+      const UnrolledPoint& p = unrolled_[i];
+      const double turn = std::clamp(p.theta / kTwoPi + 0.5, 0.0, 1.0);
+      const auto row = static_cast<std::size_t>(std::clamp(p.s, 0.0, frame_.length()) / kLength);
+      const auto column = static_cast<std::size_t>(turn * static_cast<double>(kAround));
+      const double most = Layout::meanRadius(coefficients_, places_[i]);
+      sums[kAround * row + std::min(column, kAround - 1U)] +=
+          std::clamp(residualOf(i), -most, most);
+    }
+    double squares = 0.0;
+    for (const double sum : sums) squares += sum * sum;
+    const double alone = kOfNoise * static_cast<double>(unrolled_.size()) * noise_ * noise_;
+    return std::max(squares / alone, 1.0);
+  }
+
   /// The angles of the points, drawn together round their mean in each window along the stem by as
   /// much as noise has spread them.
   std::vector<double> anglesBeforeNoise() const {
@@ -771,6 +795,7 @@ class SurfacePriorFitter {
     SurfacePrior prior(frame_, layout_.intervals);
     prior.coefficients_ = coefficients_;
     prior.covariance_ = covariance();
+    prior.clustering_ = clustering();
     prior.noise_ = noise_;
     prior.begin_ = given_begin_;
     double inliers = 0.0;
@@ -863,6 +888,10 @@ double SurfacePrior::variance(double theta, double s) const {
   const Place place = layout.place(theta, s);
   return quadraticForm(layout, place.interval,
                        Layout::row(place, Layout::meanRadius(coefficients_, place)), covariance_);
+}
+
+double SurfacePrior::misfitVariance(double theta, double s) const {
+  return clustering_ > 1.0 ? (clustering_ - 1.0) * variance(theta, s) : 0.0;
 }
 
 double SurfacePrior::robustWeight(double residual) const {

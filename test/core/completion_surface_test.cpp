@@ -3,6 +3,8 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <optional>
 #include <random>
 #include <vector>
 
@@ -484,6 +486,46 @@ TEST(CompletionRepair, FindsAHoleAndClosesItOnTheSurface) {
   filled.insert(filled.end(), repaired.begin(), repaired.end());
   EXPECT_TRUE(findDefects({}, filled, 0.005, range, density, shape, kRadius, 0).empty());
   EXPECT_TRUE(repairDefect(defects[0], {}, density, kRadius, {}).empty());
+}
+
+/// A stem of which one half was seen, with noise and with bumps 6 cm long and a sixth of it wide.
+std::optional<SurfacePrior> halfSeen(double noise, double bump, unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> uniform(0.0, 1.0);
+  std::normal_distribution<double> normal(0.0, 1.0);
+  std::vector<double> bumps;
+  for (int k = 0; k < 3 * 17; ++k) bumps.push_back(bump * normal(random));
+  std::vector<Vector3d> points;
+  for (int i = 0; i < 1200; ++i) {
+    const double z = uniform(random);
+    const double turn = 0.5 * uniform(random);
+    const auto at =
+        static_cast<std::size_t>(3 * static_cast<int>(z / 0.06) + static_cast<int>(6.0 * turn));
+    const double r = kRadius + bumps[at] + noise * normal(random);
+    points.emplace_back(r * std::cos(2.0 * kPi * turn), r * std::sin(2.0 * kPi * turn), z);
+  }
+  const StemAxis axis({{{0.0F, 0.0F, 0.0F}, static_cast<float>(kRadius)},
+                       {{0.0F, 0.0F, 1.0F}, static_cast<float>(kRadius)}});
+  return SurfacePrior::fit(points, axis, 0.0);
+}
+
+TEST(CompletionSurface, WhatIsNoCylinderMakesTheFarSideUncertain) {
+  for (unsigned seed = 1; seed <= 3U; ++seed) {
+    // Points scatter as much in both.
+    const auto noisy = halfSeen(2e-3, 0.0, seed);
+    const auto bumpy = halfSeen(1e-3, 1.7e-3, seed);
+    ASSERT_TRUE(noisy && bumpy);
+    // The half from theta = 0 to pi was seen, whatever the frame calls it.
+    double near = std::numeric_limits<double>::max();
+    double far = 0.0;
+    for (double theta = -kPi; theta < kPi; theta += 0.1) {
+      EXPECT_LT(noisy->misfitVariance(theta, 0.5), noisy->variance(theta, 0.5));
+      near = std::min(near, bumpy->misfitVariance(theta, 0.5));
+      far = std::max(far, bumpy->misfitVariance(theta, 0.5));
+      EXPECT_GT(bumpy->misfitVariance(theta, 0.5), 3.0 * bumpy->variance(theta, 0.5));
+    }
+    EXPECT_GT(far, 4.0 * near);
+  }
 }
 
 TEST(CompletionSurface, PriorIsRightWhereNoiseIsAThirdOfTheRadius) {

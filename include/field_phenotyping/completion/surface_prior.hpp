@@ -45,8 +45,14 @@ class SurfacePrior {
     double noise_bias = 0.0;  ///< [m]
   };
   Residual residual(const UnrolledPoint& point) const;
-  /// Variance of the prior surface, along the radius [m^2].
+  /// Variance of the prior surface, along the radius, by the points' noise and by how stems are
+  /// shaped [m^2].
   double variance(double theta, double s) const;
+  /// What is to be added where points depart from any such surface together, as round leaf bases
+  /// and sheaths: they hold the surface no better than one of them, and the stem is shaped less as
+  /// stems are. Large where little holds the surface, as on the far side of a stem of which only
+  /// half is seen [m^2].
+  double misfitVariance(double theta, double s) const;
 
   double meanRadius() const { return mean_radius_; }  ///< [m]
   double noise() const { return noise_; }  ///< robust standard deviation of the points [m]
@@ -66,6 +72,7 @@ class SurfacePrior {
   double mean_radius_ = 0.0;
   double noise_ = 0.0;
   double begin_ = 0.0;
+  double clustering_ = 1.0;       // of the residuals
   Eigen::VectorXd coefficients_;  // axis shift u, axis shift v, radius of each knot; cos 2t, sin 2t
   // Of the coefficients, row by row.
   Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> covariance_;

@@ -26,7 +26,8 @@ GrownStem growCandidate(const GrowthScene& scene, Midline midline,
 /// surface completed below them carries across (2.6.1); what was over-segmented goes; while the
 /// quality is below `quality_target` the parameters are adapted and the stem is grown again. The
 /// best growth is kept.
-/// @param max_gap [m] longest gap that regions may merge across, from the plants' spacing
+/// @param max_gap [m] longest gap that regions may merge across for their distance alone, from the
+///                plants' spacing
 /// Thread-safe; deterministic.
 GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_gap,
                    const SegmentationParameters& parameters);
