@@ -169,6 +169,7 @@ struct Serializer<field_phenotyping::BlockHeader>
   static void write(Stream& stream, const field_phenotyping::BlockHeader& header) {
     stream.next(field_phenotyping::messageHeader(header));
     stream.next(ros::Time().fromNSec(header.began_ns));
+    stream.next(ros::Time().fromNSec(header.due_ns));
     rest(stream, header);
   }
   template <class Stream>
@@ -180,6 +181,9 @@ struct Serializer<field_phenotyping::BlockHeader>
     ros::Time began;
     stream.next(began);
     header.began_ns = began.toNSec();
+    ros::Time due;
+    stream.next(due);
+    header.due_ns = due.toNSec();
     rest(stream, header);
   }
 

@@ -1,5 +1,6 @@
 #include "block_stage.hpp"
 
+#include <algorithm>
 #include <array>
 #include <sstream>
 
@@ -7,7 +8,9 @@ namespace field_phenotyping {
 
 const std::set<std::string>& commonParameterNames() {
   static const std::set<std::string> names = {
-      "device", "diagnostic_period", "history", "journal", "new_journal", "wait_for_subscriber"};
+      "device",         "diagnostic_period",   "history",
+      "journal",        "most_points_waiting", "new_journal",
+      "overload_after", "wait_for_subscriber"};
   return names;
 }
 
@@ -19,7 +22,9 @@ struct FixedNumber {
   double least;
   const char* unit;
 };
-constexpr std::array<FixedNumber, 5> kFixedNumbers = {{{"history", 0.0, ""},
+constexpr std::array<FixedNumber, 7> kFixedNumbers = {{{"history", 0.0, ""},
+                                                       {"most_points_waiting", 0.0, ""},
+                                                       {"overload_after", 0.0, " s"},
                                                        {"wait_for_subscriber", 0.0, " s"},
                                                        {"tf_timeout", 0.0, " s"},
                                                        {"idle_timeout", 0.0, " s"},
@@ -50,6 +55,14 @@ void checkFixedParameters(const ros::NodeHandle& pnh, StageHealth& health) {
                                : "device '" + device +
                                      "' is none of auto, cpu, cuda: working on "
                                      "the CPU");
+}
+
+OverloadLimits overloadLimitsOf(const ros::NodeHandle& pnh) {
+  // A tile's update period and a little more; half a gigabyte.
+  constexpr double kAfter = 3.0;  // [s]
+  constexpr double kMostPoints = 2e7;
+  return {ros::WallDuration(std::max(pnh.param("overload_after", kAfter), 0.0)),
+          static_cast<std::size_t>(std::max(pnh.param("most_points_waiting", kMostPoints), 0.0))};
 }
 
 ListenerGate::ListenerGate(const ros::NodeHandle& pnh, const ros::Publisher& output)

@@ -25,6 +25,9 @@ constexpr std::uint32_t kChainQueue = 200U;
 /// Private parameters that every stage reads besides its section.
 const std::set<std::string>& commonParameterNames();
 
+/// `overload_after` [s] and `most_points_waiting`.
+OverloadLimits overloadLimitsOf(const ros::NodeHandle& pnh);
+
 /// Says so when what a stage reads once at its start is no number or out of range, or when a device
 /// was asked for that this build does not have.
 void checkFixedParameters(const ros::NodeHandle& pnh, StageHealth& health);
@@ -75,7 +78,8 @@ class BlockStage {
       if (parameters_changed_.exchange(false)) worker_->reworkAll();
       guarded(idle);
     };
-    worker_ = std::make_unique<BlockWorker<Input>>(historyOf(pnh_), std::move(calls));
+    worker_ = std::make_unique<BlockWorker<Input>>(historyOf(pnh_), overloadLimitsOf(pnh_),
+                                                   std::move(calls));
     flush_ = pnh_.advertiseService("flush", &BlockStage::flush, this);
     input_ = pnh_.subscribe("input", kChainQueue, &BlockStage::receive, this);
   }
@@ -95,14 +99,29 @@ class BlockStage {
 
   void receive(const InputPtr& block) {
     health_.received(ros::Time().fromNSec(headerOf(*block).stamp_ns));
-    if (worker_->push(block)) health_.count("revisions skipped for newer ones");
+    const auto arrival = worker_->push(block);
+    if (arrival.replaced) health_.count("revisions skipped for newer ones");
+    if (arrival.dropped > 0U) health_.count("blocks dropped: overload", arrival.dropped);
+    if (worker_->overloaded()) tellOverload();
+  }
+
+  void tellOverload() {
+    health_.trouble("overload",
+                    "blocks come faster than they are worked: those that nothing is known of yet "
+                    "and the newest go first, " +
+                        std::to_string(health_.counted("blocks dropped: overload")) +
+                        " were dropped so far. Drive slower, raise voxel_size or update_period, "
+                        "lower max_range, or let more cores work");
   }
 
   void workOn(const Task& task) {
     guarded([&] {
+      const ros::WallTime begin = ros::WallTime::now();
       output_.publish(work_(task.block, parameters_.current()));
+      const ros::WallTime end = ros::WallTime::now();
       health_.count("blocks worked");
-      health_.finished((ros::WallTime::now() - task.arrival).toSec());
+      health_.finished((end - task.arrival).toSec());
+      health_.took("work on a block", (end - begin).toSec());
     });
     health_.show("blocks waiting", static_cast<double>(worker_->waiting()));
   }

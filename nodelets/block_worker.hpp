@@ -7,9 +7,13 @@
 #include <boost/shared_ptr.hpp>
 #include <chrono>
 #include <condition_variable>
+#include <cstddef>
+#include <cstdint>
 #include <deque>
 #include <functional>
+#include <map>
 #include <mutex>
+#include <optional>
 #include <thread>
 #include <vector>
 
@@ -27,6 +31,16 @@ inline const BlockHeader& headerOf(const SegmentedBlock& block) {
 }
 inline const BlockHeader& headerOf(const CompletedBlock& block) {
   return block.segmented->header;
+}
+
+inline std::size_t pointsOf(const Block& block) {
+  return block.cloud.size();
+}
+inline std::size_t pointsOf(const SegmentedBlock& block) {
+  return block.cloud.size();
+}
+inline std::size_t pointsOf(const CompletedBlock& block) {
+  return block.segmented->cloud.size() + block.synthetic.size();
 }
 
 /// How many blocks a stage keeps for display and for working again: its parameter `history`.
@@ -62,16 +76,33 @@ class BlockHistory {
   std::deque<Pointer> blocks_;
 };
 
+/// When a stage counts as overloaded, and what it holds then.
+struct OverloadLimits {
+  /// A block that waits longer than this means that more comes than can be worked.
+  ros::WallDuration after;
+  /// Most points of blocks that wait then; beyond it blocks are dropped.
+  std::size_t most_points;
+};
+
 /// Works blocks one after another on a thread of its own, so that callbacks return at once. A newer
-/// revision takes the place of one of the same pass that still waits: no block is lost, none is
-/// worked in vain. Thread-safe.
+/// revision takes the place of one of the same pass that still waits: no block is worked in vain.
+///
+/// In the order in which they came, until one has waited for too long. From then on blocks of which
+/// nothing has been worked in their pass go first, then final ones, then updates, each the newest
+/// first; where too many points wait the last in that order are dropped. That ends by itself when
+/// less comes. Thread-safe.
 template <class T>
 class BlockWorker {
  public:
   using Pointer = boost::shared_ptr<const T>;
   struct Task {
     Pointer block;
-    ros::WallTime arrival;
+    ros::WallTime arrival;  ///< of the first revision that has waited since
+  };
+  /// What became of a block that came.
+  struct Arrival {
+    bool replaced = false;     ///< an older revision that still waited
+    std::size_t dropped = 0U;  ///< blocks that waited, or this one
   };
 
   /// What the worker calls, on its thread; none may throw.
@@ -82,8 +113,8 @@ class BlockWorker {
   };
 
   /// @param history how many blocks are kept for reworkAll()
-  BlockWorker(std::size_t history, Calls calls)
-      : calls_(std::move(calls)), history_(history), thread_([this] { run(); }) {}
+  BlockWorker(std::size_t history, const OverloadLimits& limits, Calls calls)
+      : limits_(limits), calls_(std::move(calls)), history_(history), thread_([this] { run(); }) {}
 
   ~BlockWorker() {
     {
@@ -97,16 +128,16 @@ class BlockWorker {
   BlockWorker(const BlockWorker&) = delete;
   BlockWorker& operator=(const BlockWorker&) = delete;
 
-  /// @return whether an older revision that still waited was replaced
-  bool push(const Pointer& block) {
-    bool replaced = false;
+  Arrival push(const Pointer& block) {
+    Arrival arrival;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       history_.add(block);
-      replaced = enqueue(block);
+      arrival.replaced = enqueue(block);
+      arrival.dropped = dropExcess();
     }
     changed_.notify_all();
-    return replaced;
+    return arrival;
   }
 
   /// Works every block of the history again: the parameters have changed.
@@ -129,6 +160,12 @@ class BlockWorker {
     return waiting_.size();
   }
 
+  /// Whether a block has been waiting for too long.
+  bool overloaded() const {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return isOverloaded();
+  }
+
  private:
   bool enqueue(const Pointer& block) {
     const BlockHeader& header = headerOf(*block);
@@ -142,14 +179,71 @@ class BlockWorker {
     return false;
   }
 
+  bool isOverloaded() const {
+    // The first is the one that has waited longest.
+    if (waiting_.empty() || !opened_) return false;
+    return ros::WallTime::now() - std::max(waiting_.front().arrival, *opened_) > limits_.after;
+  }
+
+  /// Whether nothing of the block has been worked in this pass.
+  bool isFresh(const BlockHeader& header) const {
+    const auto worked = worked_.find(header.index);
+    return worked == worked_.end() || worked->second != header.began_ns;
+  }
+
+  /// Whether `a` is to be worked before `b` when not all can be.
+  bool isWorthMore(const Task& a, const Task& b) const {
+    const auto rank = [this](const BlockHeader& header) {
+      if (isFresh(header)) return 0;
+      return header.final ? 1 : 2;
+    };
+    const BlockHeader& of_a = headerOf(*a.block);
+    const BlockHeader& of_b = headerOf(*b.block);
+    if (rank(of_a) != rank(of_b)) return rank(of_a) < rank(of_b);
+    return of_a.stamp_ns > of_b.stamp_ns;
+  }
+
+  /// @return how many of those that wait were dropped; one stays, however large
+  std::size_t dropExcess() {
+    std::size_t dropped = 0U;
+    if (!isOverloaded()) return dropped;
+    const auto worth_more = [this](const Task& a, const Task& b) { return isWorthMore(a, b); };
+    std::size_t points = 0U;
+    for (const Task& task : waiting_) points += pointsOf(*task.block);
+    for (; points > limits_.most_points && waiting_.size() > 1U; ++dropped) {
+      const auto least = std::max_element(waiting_.begin(), waiting_.end(), worth_more);
+      points -= pointsOf(*least->block);
+      if (headerOf(*least->block).final) worked_.erase(headerOf(*least->block).index);
+      waiting_.erase(least);
+    }
+    return dropped;
+  }
+
+  Task takeNext() {
+    const auto worth_more = [this](const Task& a, const Task& b) { return isWorthMore(a, b); };
+    const auto next = isOverloaded()
+                          ? std::min_element(waiting_.begin(), waiting_.end(), worth_more)
+                          : waiting_.begin();
+    const Task task = *next;
+    waiting_.erase(next);
+    const BlockHeader& header = headerOf(*task.block);
+    if (header.final) {
+      worked_.erase(header.index);
+    } else {
+      worked_[header.index] = header.began_ns;
+    }
+    return task;
+  }
+
   void run() {
     std::unique_lock<std::mutex> lock(mutex_);
     while (running_) {
-      if (waiting_.empty() || !calls_.ready()) {
+      const bool ready = calls_.ready();
+      if (ready && !opened_) opened_ = ros::WallTime::now();
+      if (waiting_.empty() || !ready) {
         changed_.wait_for(lock, std::chrono::milliseconds(100));
       } else {
-        const Task task = waiting_.front();
-        waiting_.pop_front();
+        const Task task = takeNext();
         busy_ = true;
         lock.unlock();
         calls_.work(task);
@@ -163,11 +257,14 @@ class BlockWorker {
     }
   }
 
+  const OverloadLimits limits_;
   Calls calls_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
-  std::deque<Task> waiting_;
+  std::deque<Task> waiting_;                    // as they came
+  std::map<BlockIndex, std::uint64_t> worked_;  // passes in which open blocks have been worked
   BlockHistory<T> history_;
+  std::optional<ros::WallTime> opened_;  // since when work is done
   bool busy_ = false;
   bool running_ = true;
   std::thread thread_;  // last: runs on all of the above

@@ -26,6 +26,7 @@ boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
   const PlantTable::Change change = plants_.update(header, measureBlock(block, parameters));
   const std::vector<Phenotype> plants = plants_.table().plantsOf(header.index);
   header_ = messageHeader(header);
+  noteFirstValues(header, change.added);
   if (change.accepted) {
     removed_.insert(removed_.end(), change.removed.begin(), change.removed.end());
     fresh_.insert(fresh_.end(), plants.begin(), plants.end());
@@ -33,6 +34,15 @@ boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
   stage_.health().show("plants known", static_cast<double>(plants_.table().size()));
   stage_.health().show("plants in the last block", static_cast<double>(plants.size()));
   return boost::make_shared<PlantPhenotypeArray>(toMessage(plants, header));
+}
+
+/// How long the rover's people have to wait for the first values of a plant.
+void MeasurementStage::noteFirstValues(const BlockHeader& header, std::size_t plants) {
+  if (header.due_ns == 0U) return;
+  const double seconds = (ros::WallTime::now() - ros::WallTime().fromNSec(header.due_ns)).toSec();
+  for (std::size_t k = 0; k < plants; ++k) {
+    stage_.health().took("plant, from when its block is due until its first values", seconds);
+  }
 }
 
 void MeasurementStage::showMarkers() {

@@ -27,6 +27,7 @@ class MeasurementStage {
 
   boost::shared_ptr<const PlantPhenotypeArray> work(const CompletedBlock& block,
                                                     const MeasurementParameters& parameters);
+  void noteFirstValues(const BlockHeader& header, std::size_t plants);
   void showMarkers();
 
   Stage stage_;

@@ -32,12 +32,13 @@ PlantTable::Change PlantTable::update(const ReportSource& source,
                             [&](const Said& other) { return ofOnePass(other.source, source); }),
              said.end());
   said.push_back({source, {}});
+  Change change;
+  change.accepted = true;
   for (const Phenotype& plant : plants) {
+    if (plants_.count(plant.id) == 0U) ++change.added;
     put(source, plant);
     said.back().ids.insert(plant.id);
   }
-  Change change;
-  change.accepted = true;
   for (const Said& other : earlier) {
     for (const std::int32_t id : other.ids) {
       if (said.back().ids.count(id) > 0U) continue;

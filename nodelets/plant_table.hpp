@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <map>
 #include <set>
@@ -32,6 +33,7 @@ class PlantTable {
  public:
   struct Change {
     bool accepted = false;              ///< false: the revision was older than the one known
+    std::size_t added = 0U;             ///< ids that were not believed in before
     std::vector<std::int32_t> removed;  ///< ids that are no longer believed in
   };
 

@@ -23,6 +23,11 @@ const ros::Duration kTfMemory(60.0);
 // Coarser coordinates than this spoil a stem's diameter [m].
 constexpr double kCoarse = 0.001;
 constexpr std::chrono::seconds kFlushLimit(120);
+constexpr std::chrono::milliseconds kPause(10);
+// Blocks in the making: one is at work, and one more waits, so that it never has to.
+constexpr std::size_t kMostPending = 2U;
+// Tiles that no scan reaches any more and that wait to be made blocks, before scans wait for them.
+constexpr std::size_t kMostFinished = 16U;
 // A sensor that is so far from where it was heading has not moved, the map has: within a step even
 // a sharp turn (8 m/s^2) leaves it within half of that.
 constexpr double kMapJump = 0.045;  // [m]
@@ -61,6 +66,10 @@ PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
       cloud_(pnh_, "cloud", addAboveGround),
       borders_(pnh_.advertise<visualization_msgs::MarkerArray>("blocks", 100)) {
   checkFixedParameters(pnh_, health_);
+  BlockMaker::Calls calls;
+  calls.work = [this](BlockMaker::Task& task) { makeBlock(task); };
+  calls.idle = [this] { showDone(); };
+  maker_ = std::make_unique<BlockMaker>(std::move(calls));
   worker_ = std::thread([this] { run(); });
   flush_server_ = pnh_.advertiseService("flush", &PreprocessingStage::flush, this);
   input_ = pnh_.subscribe("input", static_cast<std::uint32_t>(queue_size_),
@@ -76,6 +85,7 @@ PreprocessingStage::~PreprocessingStage() {
   input_.shutdown();
   flush_server_.shutdown();
   worker_.join();
+  maker_.reset();
 }
 
 void PreprocessingStage::receive(const sensor_msgs::PointCloud2ConstPtr& message) {
@@ -130,33 +140,40 @@ void PreprocessingStage::step() {
     asked_to_flush = wanted > flushes_done_;
   }
   if (parameters_changed_.exchange(false)) applyParameters();
-  addScans();
-  const bool more = handOnBlocks(asked_to_flush || inputIsIdle());
-  ground_.update(done_);
-  cloud_.update(done_);
+  const bool added = hasRoom() && addNextScan();
+  const bool flush = !added && (asked_to_flush || inputIsIdle());
+  const bool more = handOnBlocks(flush, kMostPending);
 
   std::unique_lock<std::mutex> lock(mutex_);
-  if (asked_to_flush && !more && scans_.empty()) {
+  if (flush && asked_to_flush && !more && scans_.empty() && maker_->pending() == 0U) {
     flushes_done_ = wanted;
     changed_.notify_all();
   }
   // A scan at the queue's head may be waiting for tf, so a non-empty queue is no reason to hurry.
-  if (!more && running_) changed_.wait_for(lock, std::chrono::milliseconds(10));
+  if (!added && running_) changed_.wait_for(lock, kPause);
 }
 
-void PreprocessingStage::addScans() {
-  while (true) {
-    WaitingScan next;
-    {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      if (scans_.empty()) return;
-      next = scans_.front();
-    }
-    if (!addScan(next)) return;
+/// Tiles that no scan reaches any more wait in the map until they have gone out; while too many do,
+/// scans wait too.
+bool PreprocessingStage::hasRoom() const {
+  return maker_->pending() == 0U ||
+         (preprocessor_.finishedBlocks() <= kMostFinished &&
+          static_cast<double>(preprocessor_.voxels()) <= preprocessor_.parameters().memory_limit);
+}
+
+/// @return whether there was a scan to be placed or dropped
+bool PreprocessingStage::addNextScan() {
+  WaitingScan next;
+  {
     const std::lock_guard<std::mutex> lock(mutex_);
-    // The callback may have dropped it meanwhile to make room.
-    if (!scans_.empty() && scans_.front().message == next.message) scans_.pop_front();
+    if (scans_.empty()) return false;
+    next = scans_.front();
   }
+  if (!addScan(next)) return false;
+  const std::lock_guard<std::mutex> lock(mutex_);
+  // The callback may have dropped it meanwhile to make room.
+  if (!scans_.empty() && scans_.front().message == next.message) scans_.pop_front();
+  return true;
 }
 
 /// @return false when the scan should stay in the queue and be tried again
@@ -166,7 +183,14 @@ bool PreprocessingStage::addScan(const WaitingScan& waiting) {
     requireValidStamp(*waiting.message);
     bool try_again = false;
     const auto T_target_sensor = findTransform(waiting, try_again);
-    if (T_target_sensor) place(waiting.message, *T_target_sensor);
+    if (T_target_sensor) {
+      const ros::WallTime begin = ros::WallTime::now();
+      place(waiting.message, *T_target_sensor);
+      const ros::WallTime end = ros::WallTime::now();
+      health_.took("work on a scan", (end - begin).toSec());
+      health_.took("scan, from its arrival until it is placed", (end - waiting.arrival).toSec());
+      health_.count("scans placed");
+    }
     return !try_again;
   } catch (const CloudFormatError& error) {
     health_.count("scans dropped: unreadable");
@@ -260,7 +284,7 @@ void PreprocessingStage::noticeTimeJump(const ros::Time& stamp) {
                                      std::to_string((newest_stamp_ - stamp).toSec()) +
                                      " s (a bag that starts again?): the open blocks are given up, "
                                      "measured plants are kept");
-    preprocessor_.reset();
+    emptyMap();
     last_fix_ = ros::Time();
     scans_added_ = 0U;
     revision_base_ = 0U;
@@ -291,9 +315,8 @@ void PreprocessingStage::noticeMapJump(const std_msgs::Header& header) {
   text << "the sensor is " << off << " m from where it was heading: the SLAM has moved the map. "
        << "What was seen so far is measured by itself, and fused with what is seen from now on";
   health_.trouble("map jump", text.str());
-  while (handOnBlocks(true)) {
-  }
-  preprocessor_.reset();
+  handOnBlocks(true, std::numeric_limits<std::size_t>::max());
+  emptyMap();
 }
 
 /// Where the sensor was in the map [m]; nothing where tf does not reach so far back.
@@ -315,7 +338,7 @@ void PreprocessingStage::applyParameters() {
     return;
   }
   // One whole cloud comes only once: it is worked again, so that tuning shows its effect.
-  preprocessor_.reset();
+  emptyMap();
   preprocessor_.addScan(scanOf(*only_scan_), only_transform_);
 }
 
@@ -328,43 +351,78 @@ PreprocessingParameters PreprocessingStage::effectiveParameters() const {
   return parameters;
 }
 
+void PreprocessingStage::emptyMap() {
+  preprocessor_.reset();
+  due_since_.clear();
+}
+
+/// What is due is taken out of the map, while no more than `most_pending` blocks are in the making.
 /// @return whether blocks are left that should be handed on now
-bool PreprocessingStage::handOnBlocks(bool flush) {
+bool PreprocessingStage::handOnBlocks(bool flush, std::size_t most_pending) {
   // One whole cloud needs no preliminary blocks: they are made once, when nothing follows it.
   const bool may_be_whole = scans_added_ < 2U;
   if (!gate_.open() || (may_be_whole && !flush)) return false;
   const std::vector<BlockIndex> due = preprocessor_.dueBlocks(flush);
+  const ros::WallTime now = ros::WallTime::now();
+  for (const BlockIndex& index : due) due_since_.try_emplace(index, now);
+  health_.show("blocks due", static_cast<double>(due.size()));
   for (std::size_t i = 0; i < due.size(); ++i) {
+    if (maker_->pending() >= most_pending) return true;
     handOn(due[i], flush);
-    if (scansWaiting()) return i + 1U < due.size();
   }
   return false;
 }
 
 void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
-  const ros::WallTime begin = ros::WallTime::now();
-  auto block = boost::make_shared<Block>(preprocessor_.makeBlock(index, flush));
-  preprocessor_.markHandedOn(block->header);
-  block->header.revision += revision_base_;
-  newest_revision_ = std::max(newest_revision_, block->header.revision);
-  const boost::shared_ptr<const Block> finished = std::move(block);
-  output_.publish(finished);
-  done_.add(finished);
-  ground_.changed();
-  cloud_.changed();
-  if (borders_.getNumSubscribers() > 0U) borders_.publish(blockMarker(*finished));
-  health_.count("blocks handed on");
-  health_.show("points in the last block", static_cast<double>(finished->cloud.size()));
-  health_.finished((ros::WallTime::now() - begin).toSec());
+  BlockMaker::Task task{preprocessor_.collect(index, flush), preprocessor_.parameters()};
+  preprocessor_.markHandedOn(task.points.header);
+  BlockHeader& header = task.points.header;
+  const auto due = due_since_.find(index);
+  if (due != due_since_.end()) {
+    header.due_ns = due->second.toNSec();
+    due_since_.erase(due);
+  }
+  header.revision += revision_base_;
+  newest_revision_ = std::max(newest_revision_, header.revision);
+  maker_->push(std::move(task));
+}
+
+void PreprocessingStage::makeBlock(BlockMaker::Task& task) {
+  try {
+    const ros::WallTime begin = ros::WallTime::now();
+    const ros::WallTime due = ros::WallTime().fromNSec(task.points.header.due_ns);
+    const boost::shared_ptr<const Block> block =
+        boost::make_shared<Block>(finishBlock(std::move(task.points), task.parameters));
+    output_.publish(block);
+    done_.add(block);
+    ground_.changed();
+    cloud_.changed();
+    if (borders_.getNumSubscribers() > 0U) borders_.publish(blockMarker(*block));
+    const ros::WallTime end = ros::WallTime::now();
+    health_.count("blocks handed on");
+    health_.show("points in the last block", static_cast<double>(block->cloud.size()));
+    health_.took("work on a block", (end - begin).toSec());
+    if (!due.isZero())
+      health_.took("block, from when it is due until it is out", (end - due).toSec());
+    health_.finished((end - begin).toSec());
+  } catch (const std::exception& error) {
+    health_.count("blocks failed");
+    health_.trouble("exception", std::string("a block was given up: ") + error.what());
+  }
+  changed_.notify_all();
+}
+
+void PreprocessingStage::showDone() {
+  try {
+    ground_.update(done_);
+    cloud_.update(done_);
+  } catch (const std::exception& error) {
+    health_.trouble("exception", std::string("a display was given up: ") + error.what());
+  }
 }
 
 bool PreprocessingStage::isRegistered(const sensor_msgs::PointCloud2& message) const {
   return withoutSlash(message.header.frame_id) == target_frame_;
-}
-
-bool PreprocessingStage::scansWaiting() const {
-  const std::lock_guard<std::mutex> lock(mutex_);
-  return !scans_.empty();
 }
 
 bool PreprocessingStage::inputIsIdle() const {

@@ -11,11 +11,14 @@
 #include <atomic>
 #include <condition_variable>
 #include <deque>
+#include <map>
+#include <memory>
 #include <mutex>
 #include <optional>
 #include <string>
 #include <thread>
 
+#include "block_maker.hpp"
 #include "block_stage.hpp"
 #include "display_topic.hpp"
 #include "field_phenotyping/preprocessing/preprocessor.hpp"
@@ -28,8 +31,10 @@ namespace field_phenotyping {
 ///
 /// A scan in `~target_frame` is taken as registered: no tf, and no cropping by range, for nobody
 /// knows where its sensor was. Any other scan waits for its transform at its own stamp, up to
-/// `~tf_timeout`; without one it is dropped, never placed at a guess. All work is done on one
-/// thread outside the callbacks.
+/// `~tf_timeout`; without one it is dropped, never placed at a guess. Work is done outside the
+/// callbacks: scans are placed on one thread, and what is due is taken out of the map there; blocks
+/// are made of it on another, so that no scan waits for a block. Where more scans come than can be
+/// placed the oldest are dropped and blocks go out all the same.
 class PreprocessingStage {
  public:
   PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
@@ -48,7 +53,8 @@ class PreprocessingStage {
   // The worker thread.
   void run();
   void step();
-  void addScans();
+  bool addNextScan();
+  bool hasRoom() const;
   bool addScan(const WaitingScan& waiting);
   std::optional<Eigen::Isometry3d> findTransform(const WaitingScan& waiting, bool& try_again);
   void place(const sensor_msgs::PointCloud2ConstPtr& message,
@@ -61,11 +67,15 @@ class PreprocessingStage {
   std::optional<Eigen::Vector3d> sensorAt(const std::string& frame_id, const ros::Time& time) const;
   void applyParameters();
   PreprocessingParameters effectiveParameters() const;
-  bool handOnBlocks(bool flush);
+  bool handOnBlocks(bool flush, std::size_t most_pending);
   void handOn(const BlockIndex& index, bool flush);
+  void emptyMap();
+
+  // The thread that makes blocks.
+  void makeBlock(BlockMaker::Task& task);
+  void showDone();
 
   bool isRegistered(const sensor_msgs::PointCloud2& message) const;
-  bool scansWaiting() const;
   bool inputIsIdle() const;
 
   ros::NodeHandle pnh_;
@@ -91,6 +101,9 @@ class PreprocessingStage {
   Eigen::Isometry3d only_transform_ = Eigen::Isometry3d::Identity();
   std::uint32_t revision_base_ = 0U;  // revisions go on counting when new parameters empty the map
   std::uint32_t newest_revision_ = 0U;
+  std::map<BlockIndex, ros::WallTime> due_since_;
+
+  // Of the thread that makes blocks alone.
   BlockHistory<Block> done_;
   DisplayTopic<Block> ground_;
   DisplayTopic<Block> cloud_;
@@ -105,6 +118,7 @@ class PreprocessingStage {
   std::uint64_t flushes_done_ = 0U;
   bool running_ = true;
 
+  std::unique_ptr<BlockMaker> maker_;  // from here on: runs on all of the above
   std::thread worker_;
   ros::ServiceServer flush_server_;
   ros::Subscriber input_;

@@ -1,6 +1,7 @@
 #include "stage_health.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace field_phenotyping {
 namespace {
@@ -47,6 +48,17 @@ void StageHealth::show(const std::string& what, double value) {
   figures_[what] = value;
 }
 
+void StageHealth::took(const std::string& what, double seconds) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  Times& times = times_[what];
+  if (times.seconds.size() < kTimesKept) {
+    times.seconds.push_back(seconds);
+  } else {
+    times.seconds[times.next] = seconds;
+    times.next = (times.next + 1U) % kTimesKept;
+  }
+}
+
 std::uint64_t StageHealth::counted(const std::string& what) const {
   const std::lock_guard<std::mutex> lock(mutex_);
   const auto found = counters_.find(what);
@@ -64,6 +76,19 @@ void StageHealth::trouble(const std::string& kind, const std::string& text) {
     logged_[kind] = now;
   }
   ROS_WARN_STREAM("[" << name_ << "] " << text);
+}
+
+void StageHealth::showTimes(diagnostic_updater::DiagnosticStatusWrapper& status,
+                            const std::string& what, const Times& times) {
+  std::vector<double> sorted = times.seconds;
+  std::sort(sorted.begin(), sorted.end());
+  const auto quantile = [&](double share) {
+    const double rank = share * static_cast<double>(sorted.size() - 1U);
+    return sorted[static_cast<std::size_t>(std::ceil(rank))];
+  };
+  status.add(what + ", median [s]", quantile(0.5));
+  status.add(what + ", 99 % [s]", quantile(0.99));
+  status.add(what + ", most [s]", sorted.back());
 }
 
 void StageHealth::fill(diagnostic_updater::DiagnosticStatusWrapper& status) {
@@ -88,6 +113,7 @@ void StageHealth::fill(diagnostic_updater::DiagnosticStatusWrapper& status) {
   if (!last_arrival_.isZero()) status.add("silent for [s]", (now - last_arrival_).toSec());
   for (const auto& [what, value] : counters_) status.add(what, value);
   for (const auto& [what, value] : figures_) status.add(what, value);
+  for (const auto& [what, times] : times_) showTimes(status, what, times);
   status.add("last trouble", trouble_.empty() ? "none" : trouble_);
 }
 

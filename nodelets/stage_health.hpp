@@ -3,11 +3,13 @@
 #include <diagnostic_updater/diagnostic_updater.h>
 #include <ros/ros.h>
 
+#include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <map>
 #include <mutex>
 #include <string>
+#include <vector>
 
 namespace field_phenotyping {
 
@@ -29,13 +31,27 @@ class StageHealth {
   /// Sets a figure that is shown under this name.
   void show(const std::string& what, double value);
 
+  /// Adds to the times [s] whose median, 99th percentile and maximum are shown under this name, of
+  /// the last kTimesKept.
+  void took(const std::string& what, double seconds);
+
   /// Something went wrong: shown as a warning for ten seconds, logged at most every five seconds a
   /// `kind`. `text` names the cause and the cure.
   void trouble(const std::string& kind, const std::string& text);
 
   std::uint64_t counted(const std::string& what) const;
 
+  static constexpr std::size_t kTimesKept = 1000U;
+
  private:
+  /// The last kTimesKept of them.
+  struct Times {
+    std::vector<double> seconds;
+    std::size_t next = 0U;
+  };
+
+  static void showTimes(diagnostic_updater::DiagnosticStatusWrapper& status,
+                        const std::string& what, const Times& times);
   void fill(diagnostic_updater::DiagnosticStatusWrapper& status);
 
   const std::string name_;
@@ -48,6 +64,7 @@ class StageHealth {
   std::uint64_t received_ = 0U;
   std::map<std::string, std::uint64_t> counters_;
   std::map<std::string, double> figures_;
+  std::map<std::string, Times> times_;
   std::map<std::string, ros::WallTime> logged_;
   std::string trouble_;
   ros::WallTime trouble_time_;

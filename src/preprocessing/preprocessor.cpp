@@ -46,6 +46,22 @@ PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std:
 
 }  // namespace
 
+Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters) {
+  Block block;
+  block.header = std::move(points.header);
+  // 1. Without outliers; 2. the soil; 3. taken out.
+  PointCloud cloud = std::move(points.cloud);
+  const auto keep = radiusOutlierFilter(cloud, static_cast<float>(parameters.outlier_radius),
+                                        parameters.outlier_min_neighbors);
+  cloud = select(std::move(cloud), keep, 1U);
+  block.ground = estimateGround(cloud, parameters);
+  const auto is_ground = classifyGround(cloud, block.ground, parameters);
+  const std::size_t total = cloud.size();
+  block.cloud = select(std::move(cloud), is_ground, 0U);
+  block.ground_points = static_cast<std::uint32_t>(total - block.cloud.size());
+  return block;
+}
+
 struct Preprocessor::Impl {
   Impl(const PreprocessingParameters& initial_parameters, std::string frame,
        const Eigen::Vector2d& corner)
@@ -132,7 +148,6 @@ void Preprocessor::Impl::chooseHeightDatum(const Scan& scan,
   has_datum = true;
 }
 
-/// Returns whether the point lies near enough to the map's other points to be kept.
 /// Where the sensor was, if it stood about still: a scan has one pose, and a sensor that moves on
 /// during it was elsewhere for most of its beams, which then seem to go through stems.
 std::optional<Eigen::Vector3d> Preprocessor::Impl::sensorOf(const Scan& scan,
@@ -145,6 +160,7 @@ std::optional<Eigen::Vector3d> Preprocessor::Impl::sensorOf(const Scan& scan,
   return still ? sensor : std::nullopt;
 }
 
+/// Returns whether the point lies near enough to the map's other points to be kept.
 /// @param sensor where it was, if known
 bool Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color,
                                 const std::optional<Eigen::Vector3d>& sensor) {
@@ -251,12 +267,27 @@ std::vector<BlockIndex> Preprocessor::dueBlocks(bool flush) const {
       due.push_back(index);
     }
   }
+  std::stable_sort(due.begin(), due.end(), [this](const BlockIndex& a, const BlockIndex& b) {
+    return impl_->states.at(a).handed_on_ns < impl_->states.at(b).handed_on_ns;
+  });
   return due;
 }
 
+std::size_t Preprocessor::finishedBlocks() const {
+  return static_cast<std::size_t>(
+      std::count_if(impl_->states.begin(), impl_->states.end(), [this](const auto& entry) {
+        const TileState& state = entry.second;
+        return (state.dirty || !state.final) && impl_->isFinal(state);
+      }));
+}
+
 Block Preprocessor::makeBlock(const BlockIndex& index, bool flush) const {
+  return finishBlock(collect(index, flush), impl_->parameters);
+}
+
+BlockPoints Preprocessor::collect(const BlockIndex& index, bool flush) const {
   const PreprocessingParameters& p = impl_->parameters;
-  Block block;
+  BlockPoints block;
   block.header.stamp_ns = impl_->newest_ns;
   block.header.frame_id = impl_->frame_id;
   block.header.index = index;
@@ -270,16 +301,7 @@ Block Preprocessor::makeBlock(const BlockIndex& index, bool flush) const {
     block.header.final = flush || impl_->isFinal(state->second);
   }
 
-  // 1. Voxel centroids of the tile and its margin; 2. without outliers; 3. the soil; 4. taken out.
-  PointCloud cloud = impl_->map.extract(index, p.block_margin);
-  const auto keep =
-      radiusOutlierFilter(cloud, static_cast<float>(p.outlier_radius), p.outlier_min_neighbors);
-  cloud = select(std::move(cloud), keep, 1U);
-  block.ground = estimateGround(cloud, p);
-  const auto is_ground = classifyGround(cloud, block.ground, p);
-  const std::size_t total = cloud.size();
-  block.cloud = select(std::move(cloud), is_ground, 0U);
-  block.ground_points = static_cast<std::uint32_t>(total - block.cloud.size());
+  block.cloud = impl_->map.extract(index, p.block_margin);
   return block;
 }
 

@@ -15,6 +15,7 @@
 #include "block_worker.hpp"
 #include "field_client.hpp"
 #include "field_phenotyping/parameters.hpp"
+#include "in_process_chain.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -43,15 +44,7 @@ class Chain : public ::testing::Test {
     ros::param::set("/field_phenotyping/segmentation/r1", 0.045);
     ros::param::set("/field_phenotyping/segmentation/seed_min_hieght", 0.1);
     loader_ = new nodelet::Loader(false);
-    std::string input = "/points";
-    for (const char* stage : {"Preprocessing", "Segmentation", "Completion", "Measurement"}) {
-      std::string name = std::string(kSpace) + "/" + stage;
-      std::transform(name.begin(), name.end(), name.begin(),
-                     [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
-      ASSERT_TRUE(loader_->load(name, std::string("field_phenotyping/") + stage,
-                                {{name + "/input", input}}, {}));
-      input = name + "/output";
-    }
+    ASSERT_TRUE(testing::loadChain(*loader_));
     client_ = new testing::FieldClient();
     ASSERT_TRUE(client_->waitForStages());
   }

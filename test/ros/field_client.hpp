@@ -120,6 +120,27 @@ class FieldClient {
     return false;
   }
 
+  /// What a stage's newest diagnostics say under this name; 0 where there is nothing.
+  double valueOf(const std::string& stage, const std::string& name) const {
+    for (const auto& entry : newest_) {
+      if (entry.first.find(stage) == std::string::npos) continue;
+      for (const auto& value : entry.second.values) {
+        if (value.key == name) return std::stod(value.value);
+      }
+    }
+    return 0.0;
+  }
+
+  /// Whether a stage says so now.
+  bool isWell(const std::string& stage) const {
+    for (const auto& entry : newest_) {
+      if (entry.first.find(stage) != std::string::npos) {
+        return entry.second.level == diagnostic_msgs::DiagnosticStatus::OK;
+      }
+    }
+    return false;
+  }
+
   /// What the newest message of each block says.
   std::vector<Phenotype> plants() const {
     std::vector<Phenotype> all;
@@ -138,6 +159,7 @@ class FieldClient {
 
   void noteDiagnostics(const diagnostic_msgs::DiagnosticArrayConstPtr& message) {
     for (const auto& status : message->status) {
+      newest_[status.name] = status;
       std::string& text = troubles_[status.name];
       if (text.find(status.message) == std::string::npos) text += status.message + "\n";
       for (const auto& value : status.values) {
@@ -153,6 +175,7 @@ class FieldClient {
   ros::Time next_stamp_;
   std::map<BlockIndex, std::vector<Phenotype>> plants_of_;
   std::map<std::string, std::string> troubles_;  // all that was said, by status name
+  std::map<std::string, diagnostic_msgs::DiagnosticStatus> newest_;
   tf2_ros::TransformBroadcaster broadcaster_;
   ros::Publisher points_;
   ros::Subscriber plants_;

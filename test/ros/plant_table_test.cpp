@@ -30,8 +30,12 @@ ReportSource source(const BlockIndex& block, std::uint32_t revision, std::uint64
 
 TEST(PlantTable, KeepsTheNewestRevision) {
   PlantTable table;
-  EXPECT_TRUE(table.update(source({0, 0}, 1U), {plant(3, 1.0), plant(1, 2.0)}).accepted);
-  EXPECT_TRUE(table.update(source({0, 0}, 2U), {plant(3, 1.5), plant(1, 2.0)}).removed.empty());
+  const auto first = table.update(source({0, 0}, 1U), {plant(3, 1.0), plant(1, 2.0)});
+  EXPECT_TRUE(first.accepted);
+  EXPECT_EQ(first.added, 2U);
+  const auto second = table.update(source({0, 0}, 2U), {plant(3, 1.5), plant(1, 2.0)});
+  EXPECT_TRUE(second.removed.empty());
+  EXPECT_EQ(second.added, 0U);
   ASSERT_EQ(table.size(), 2U);
   EXPECT_EQ(table.plants()[0].id, 1);
   EXPECT_EQ(table.plants()[1].height.value, 1.5);

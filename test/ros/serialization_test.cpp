@@ -26,6 +26,7 @@ BlockHeader someHeader() {
   BlockHeader header;
   header.stamp_ns = 1604515190000000123U;
   header.began_ns = 1604515180000000001U;
+  header.due_ns = 1604515191000000002U;
   header.frame_id = "map";
   header.index = {-7, 9};
   header.revision = 4U;
@@ -101,6 +102,7 @@ CompletedBlock completedBlock() {
 void expectSame(const BlockHeader& a, const BlockHeader& b) {
   EXPECT_EQ(a.stamp_ns, b.stamp_ns);
   EXPECT_EQ(a.began_ns, b.began_ns);
+  EXPECT_EQ(a.due_ns, b.due_ns);
   EXPECT_EQ(a.frame_id, b.frame_id);
   EXPECT_TRUE(a.index == b.index);
   EXPECT_EQ(a.revision, b.revision);

@@ -27,6 +27,7 @@ struct BlockIndex {
 struct BlockHeader {
   std::uint64_t stamp_ns = 0U;  ///< time of the newest scan in the block [ns since the epoch]
   std::uint64_t began_ns = 0U;  ///< time of its first scan: names the pass that it was seen in
+  std::uint64_t due_ns = 0U;    ///< wall time at which it was worth working; 0: not known
   std::string frame_id;         ///< frame of all positions: z up, metres
   BlockIndex index;
   std::uint32_t revision = 0U;  ///< counts how often this block has been handed on, from 1

@@ -29,6 +29,15 @@ struct ScanReport {
   std::size_t used = 0U;
 };
 
+/// What has accumulated for one block, taken out of the map: all that finishBlock() needs.
+struct BlockPoints {
+  BlockHeader header;
+  PointCloud cloud;  ///< voxel centroids of the tile and its margin, soil and outliers among them
+};
+
+/// The steps of 2.3 that need no map: outliers and soil are taken out. Thread-safe.
+Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters);
+
 /// First stage: scans in, blocks out (paper 2.3). Scans accumulate in a voxel map that is kept tile
 /// by tile; a tile that changed enough, or is final, is handed on as a block with outliers and soil
 /// taken out.
@@ -52,14 +61,21 @@ class Preprocessor {
   ScanReport addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
 
   /// Blocks worth working now: changed enough since they were handed on, or no longer reached by
-  /// scans. `flush`: every block that changed at all, as final.
+  /// scans. `flush`: every block that changed at all, as final. Those that were handed on longest
+  /// ago, or never, come first.
   std::vector<BlockIndex> dueBlocks(bool flush) const;
+
+  /// How many of them no scan reaches any more: they are held only until they are handed on.
+  std::size_t finishedBlocks() const;
+
+  /// Takes out what has accumulated for block `index`: a copy, much quicker than finishBlock().
+  BlockPoints collect(const BlockIndex& index, bool flush) const;
 
   /// Builds block `index` from what has accumulated. Thread-safe against other makeBlock().
   Block makeBlock(const BlockIndex& index, bool flush) const;
 
-  /// Notes that `block` has been handed on: its tile is not due again until it changes; final tiles
-  /// far from the sensor are forgotten.
+  /// Notes that `block` has been handed on, or collected to be: its tile is not due again until it
+  /// changes; final tiles far from the sensor are forgotten.
   void markHandedOn(const BlockHeader& block);
 
   /// Forgets everything (time jumped back, frame changed).

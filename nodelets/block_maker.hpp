@@ -1,0 +1,53 @@
+#pragma once
+
+#include <ros/time.h>
+
+#include <condition_variable>
+#include <cstddef>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <thread>
+
+#include "field_phenotyping/parameters.hpp"
+#include "field_phenotyping/preprocessing/preprocessor.hpp"
+
+namespace field_phenotyping {
+
+/// Makes blocks of what was taken out of the map, on a thread of its own, so that scans need not
+/// wait for it. Thread-safe.
+class BlockMaker {
+ public:
+  struct Task {
+    BlockPoints points;
+    PreprocessingParameters parameters;
+  };
+  /// What it calls, on its thread; none may throw.
+  struct Calls {
+    std::function<void(Task&)> work;
+    std::function<void()> idle;  ///< after each block, and some times a second
+  };
+
+  explicit BlockMaker(Calls calls);
+  /// What still waits is not made.
+  ~BlockMaker();
+  BlockMaker(const BlockMaker&) = delete;
+  BlockMaker& operator=(const BlockMaker&) = delete;
+
+  void push(Task task);
+  /// Blocks that wait or are being made.
+  std::size_t pending() const;
+
+ private:
+  void run();
+
+  Calls calls_;
+  mutable std::mutex mutex_;
+  std::condition_variable changed_;
+  std::deque<Task> waiting_;
+  bool busy_ = false;
+  bool running_ = true;
+  std::thread thread_;  // last: runs on all of the above
+};
+
+}  // namespace field_phenotyping

@@ -1,0 +1,138 @@
+// A stage's worker thread: order, what a newer revision replaces, and what is dropped when more
+// comes than can be worked.
+#include "block_worker.hpp"
+
+#include <gtest/gtest.h>
+
+#include <boost/make_shared.hpp>
+#include <chrono>
+#include <condition_variable>
+#include <memory>
+#include <mutex>
+#include <vector>
+
+namespace field_phenotyping {
+namespace {
+
+constexpr std::uint64_t kSecond = 1000000000U;
+constexpr std::uint64_t kBegan = 1700000000U * kSecond;
+
+/// A worker that takes one block each time that it is let.
+class SlowWorker {
+ public:
+  explicit SlowWorker(const OverloadLimits& limits) {
+    BlockWorker<Block>::Calls calls;
+    calls.ready = [] { return true; };
+    calls.work = [this](const BlockWorker<Block>::Task& task) { work(task.block->header); };
+    calls.idle = [] {};
+    worker_ = std::make_unique<BlockWorker<Block>>(16U, limits, std::move(calls));
+    // The first one keeps it busy, so that all others wait.
+    push(100, 0U, false);
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait(lock, [this] { return busy_; });
+  }
+  ~SlowWorker() {
+    finishAll();
+    worker_.reset();
+  }
+
+  BlockWorker<Block>::Arrival push(int x, std::uint64_t second, bool final,
+                                   std::size_t points = 10U) {
+    const auto block = boost::make_shared<Block>();
+    block->header.index = {x, 0};
+    block->header.began_ns = kBegan;
+    block->header.stamp_ns = kBegan + second * kSecond;
+    block->header.final = final;
+    block->cloud.points.resize(points, Eigen::Vector3f::Zero());
+    return worker_->push(block);
+  }
+
+  /// Lets it work all that waits. @return the blocks' x in the order of work, without the first
+  std::vector<int> finishAll() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      open_ = true;
+    }
+    changed_.notify_all();
+    EXPECT_TRUE(worker_->drain(std::chrono::seconds(10)));
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return {worked_.begin() + 1, worked_.end()};
+  }
+
+  bool overloaded() const { return worker_->overloaded(); }
+  std::size_t waiting() const { return worker_->waiting(); }
+
+ private:
+  void work(const BlockHeader& header) {
+    std::unique_lock<std::mutex> lock(mutex_);
+    worked_.push_back(header.index.x);
+    busy_ = true;
+    changed_.notify_all();
+    changed_.wait(lock, [this] { return open_; });
+  }
+
+  std::mutex mutex_;
+  std::condition_variable changed_;
+  bool busy_ = false;
+  bool open_ = false;
+  std::vector<int> worked_;
+  std::unique_ptr<BlockWorker<Block>> worker_;
+};
+
+const OverloadLimits kNever{ros::WallDuration(1000.0), 0U};
+const OverloadLimits kAtOnce{ros::WallDuration(0.0), 1000U};
+
+TEST(BlockWorker, WorksBlocksAsTheyComeWhileItKeepsUp) {
+  SlowWorker worker(kNever);
+  for (int x = 0; x < 5; ++x) {
+    EXPECT_EQ(worker.push(x, static_cast<std::uint64_t>(x % 3), x % 2 == 0).dropped, 0U);
+  }
+  EXPECT_TRUE(worker.push(2, 9U, true).replaced);
+  EXPECT_FALSE(worker.overloaded());
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{0, 1, 2, 3, 4}));
+}
+
+TEST(BlockWorker, UnderOverloadWhatIsNewGoesFirst) {
+  SlowWorker worker(kAtOnce);
+  worker.push(100, 5U, false);  // an update: something of it has been worked
+  worker.push(0, 1U, false);
+  worker.push(1, 3U, true);
+  worker.push(2, 2U, false);
+  EXPECT_TRUE(worker.overloaded());
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{1, 2, 0, 100}));
+  EXPECT_FALSE(worker.overloaded());
+}
+
+TEST(BlockWorker, UnderOverloadBlocksThatNothingIsKnownOfGoFirst) {
+  SlowWorker worker(kAtOnce);
+  worker.push(100, 2U, true);
+  worker.push(0, 1U, false);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{0, 100}));
+}
+
+TEST(BlockWorker, DropsTheOldestBeyondItsLimitAndKeepsWithinIt) {
+  SlowWorker worker(kAtOnce);
+  std::size_t dropped = 0U;
+  for (int x = 0; x < 50; ++x) {
+    dropped += worker.push(x, static_cast<std::uint64_t>(x), true, 300U).dropped;
+    EXPECT_LE(worker.waiting(), 3U);
+  }
+  EXPECT_EQ(dropped, 47U);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{49, 48, 47}));
+}
+
+TEST(BlockWorker, UpdatesAreDroppedBeforeBlocksThatNothingIsKnownOf) {
+  SlowWorker worker(kAtOnce);
+  worker.push(0, 1U, false, 600U);
+  EXPECT_EQ(worker.push(100, 7U, false, 600U).dropped, 1U);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{0}));
+}
+
+TEST(BlockWorker, OneBlockIsWorkedHoweverLargeItIs) {
+  SlowWorker worker(kAtOnce);
+  EXPECT_EQ(worker.push(0, 1U, true, 100000U).dropped, 0U);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{0}));
+}
+
+}  // namespace
+}  // namespace field_phenotyping
