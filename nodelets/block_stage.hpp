@@ -80,6 +80,7 @@ class BlockStage {
     };
     worker_ = std::make_unique<BlockWorker<Input>>(historyOf(pnh_), overloadLimitsOf(pnh_),
                                                    std::move(calls));
+    worker_->start();
     flush_ = pnh_.advertiseService("flush", &BlockStage::flush, this);
     input_ = pnh_.subscribe("input", kChainQueue, &BlockStage::receive, this);
   }
@@ -88,7 +89,8 @@ class BlockStage {
   void stop() {
     input_.shutdown();
     flush_.shutdown();
-    worker_.reset();
+    // Not reset(): what is at work still asks it.
+    if (worker_) worker_->stop();
   }
 
   ros::NodeHandle& privateHandle() { return pnh_; }

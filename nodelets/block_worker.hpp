@@ -112,17 +112,25 @@ class BlockWorker {
     std::function<void()> idle;             ///< after each block, and some times a second
   };
 
+  /// Nothing is worked before start().
   /// @param history how many blocks are kept for reworkAll()
   BlockWorker(std::size_t history, const OverloadLimits& limits, Calls calls)
-      : limits_(limits), calls_(std::move(calls)), history_(history), thread_([this] { run(); }) {}
+      : limits_(limits), calls_(std::move(calls)), history_(history) {}
+  ~BlockWorker() { stop(); }
 
-  ~BlockWorker() {
+  /// Once, when what the calls use is there, this object among it.
+  void start() {
+    thread_ = std::thread([this] { run(); });
+  }
+
+  /// No call is made after this; what still waits is not worked.
+  void stop() {
     {
       const std::lock_guard<std::mutex> lock(mutex_);
       running_ = false;
     }
     changed_.notify_all();
-    thread_.join();
+    if (thread_.joinable()) thread_.join();
   }
 
   BlockWorker(const BlockWorker&) = delete;

@@ -26,6 +26,7 @@ class SlowWorker {
     calls.work = [this](const BlockWorker<Block>::Task& task) { work(task.block->header); };
     calls.idle = [] {};
     worker_ = std::make_unique<BlockWorker<Block>>(16U, limits, std::move(calls));
+    worker_->start();
     // The first one keeps it busy, so that all others wait.
     push(100, 0U, false);
     std::unique_lock<std::mutex> lock(mutex_);
