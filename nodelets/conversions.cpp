@@ -10,6 +10,7 @@
 
 #include "cloud_decoder.hpp"
 #include "field_phenotyping/completion/completion_flags.hpp"
+#include "field_phenotyping/measurement/stand_summary.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -76,6 +77,18 @@ visualization_msgs::Marker marker(const std_msgs::Header& header, const char* na
   message.pose.orientation.w = 1.0;
   message.color.a = 1.0F;
   return message;
+}
+
+constexpr double kPlate = 0.01;  // [m] thick
+
+/// Above the plant's top [m]: on one of three levels, a label's height apart. Neighbours in a row
+/// are nearer to one another than their labels are wide; three in a row are not.
+double labelRise(const Phenotype& plant) {
+  constexpr double kLabel = 0.16;     // [m] of two lines
+  constexpr double kNeighbor = 0.20;  // [m] between plants in a row, about
+  const double along = (plant.base.x() + plant.base.y()) / kNeighbor;
+  const double level = along - 3.0 * std::floor(along / 3.0);
+  return 0.1 + kLabel * std::floor(level);
 }
 
 Eigen::Vector3d topOf(const Phenotype& plant) {
@@ -312,24 +325,69 @@ visualization_msgs::MarkerArray plantMarkers(const std::vector<Phenotype>& plant
                                              const std_msgs::Header& header) {
   visualization_msgs::MarkerArray array;
   for (const Phenotype& plant : plants) {
+    // Red to green by the score.
+    const auto red = static_cast<float>(std::min(1.0, 2.0 - 2.0 * plant.score));
+    const auto green = static_cast<float>(std::min(1.0, 2.0 * plant.score));
+
     visualization_msgs::Marker axis =
         marker(header, "axis", plant.id, visualization_msgs::Marker::ADD);
     axis.type = visualization_msgs::Marker::LINE_STRIP;
     axis.scale.x = 0.005;
-    // Red to green by the score; the line is as high as the plant.
-    axis.color.r = static_cast<float>(std::min(1.0, 2.0 - 2.0 * plant.score));
-    axis.color.g = static_cast<float>(std::min(1.0, 2.0 * plant.score));
+    axis.color.r = red;
+    axis.color.g = green;
     axis.points = {toPoint(plant.base), toPoint(topOf(plant))};
     array.markers.push_back(axis);
+
+    // Where no height is known a plate on the soil stands for the bar.
+    const double height = std::isfinite(plant.height.value) ? plant.height.value : kPlate;
+    visualization_msgs::Marker bar =
+        marker(header, "height", plant.id, visualization_msgs::Marker::ADD);
+    bar.type = visualization_msgs::Marker::CUBE;
+    bar.scale.x = bar.scale.y = 0.03;
+    bar.scale.z = std::max(height, kPlate);
+    bar.color.r = red;
+    bar.color.g = green;
+    bar.color.a = 0.4F;
+    bar.pose.position = toPoint(plant.base + Eigen::Vector3d(0.0, 0.0, 0.5 * bar.scale.z));
+    array.markers.push_back(bar);
 
     visualization_msgs::Marker label =
         marker(header, "label", plant.id, visualization_msgs::Marker::ADD);
     label.type = visualization_msgs::Marker::TEXT_VIEW_FACING;
     label.scale.z = 0.06;
     label.color.r = label.color.g = label.color.b = 1.0F;
-    label.pose.position = toPoint(topOf(plant) + Eigen::Vector3d(0.0, 0.0, 0.1));
+    label.pose.position = toPoint(topOf(plant) + Eigen::Vector3d(0.0, 0.0, labelRise(plant)));
     label.text = labelText(plant);
     array.markers.push_back(label);
+  }
+  return array;
+}
+
+visualization_msgs::MarkerArray rowMarkers(const std::vector<Phenotype>& plants, std::size_t shown,
+                                           const std_msgs::Header& header) {
+  constexpr double kAboveSoil = 0.05;  // [m]
+  visualization_msgs::MarkerArray array;
+  const auto on_soil = [&](const Eigen::Vector2d& place) {
+    const auto nearest =
+        std::min_element(plants.begin(), plants.end(), [&](const Phenotype& a, const Phenotype& b) {
+          return (a.base.head<2>() - place).norm() < (b.base.head<2>() - place).norm();
+        });
+    return toPoint({place.x(), place.y(), nearest->base.z() + kAboveSoil});
+  };
+  for (const RowSummary& row : summariseRows(plants)) {
+    visualization_msgs::Marker line =
+        marker(header, "row", row.row, visualization_msgs::Marker::ADD);
+    line.type = visualization_msgs::Marker::LINE_STRIP;
+    line.scale.x = 0.02;
+    line.color.r = 0.3F;
+    line.color.g = 0.6F;
+    line.color.b = 1.0F;
+    line.points = {on_soil(row.start), on_soil(row.end)};
+    array.markers.push_back(line);
+  }
+  for (std::size_t row = array.markers.size(); row < shown; ++row) {
+    array.markers.push_back(
+        marker(header, "row", static_cast<std::int32_t>(row), visualization_msgs::Marker::DELETE));
   }
   return array;
 }
@@ -366,7 +424,7 @@ visualization_msgs::MarkerArray removedMarkers(const std::vector<std::int32_t>& 
                                                const std_msgs::Header& header) {
   visualization_msgs::MarkerArray array;
   for (const std::int32_t id : plant_ids) {
-    for (const char* name_space : {"axis", "label"}) {
+    for (const char* name_space : {"axis", "height", "label"}) {
       array.markers.push_back(marker(header, name_space, id, visualization_msgs::Marker::DELETE));
     }
   }

@@ -70,13 +70,19 @@ void addSynthetic(const CompletedBlock& block, DisplayCloud& cloud);
 /// Border of the block's tile on the soil: orange while scans may reach it, green once it is final.
 visualization_msgs::MarkerArray blockMarker(const Block& block);
 
-/// Axis (namespace "axis"; as high as the plant, red to green by its score) and label with height
-/// and stem diameter ("label") of each plant; the marker's id is the plant's.
+/// Axis (namespace "axis"; red to green by its score), height as a bar beside it ("height";
+/// upright, from the soil up, in the same colour) and label with height and stem diameter ("label";
+/// those of neighbours at heights of their own, so that one can read them) of each plant; the
+/// marker's id is the plant's.
 visualization_msgs::MarkerArray plantMarkers(const std::vector<Phenotype>& plants,
                                              const std_msgs::Header& header);
 /// Takes the markers of plants that are no longer believed in away.
 visualization_msgs::MarkerArray removedMarkers(const std::vector<std::int32_t>& plant_ids,
                                                const std_msgs::Header& header);
+/// A line for each row of plants ("row"), 5 cm above their bases, numbered from 0; takes away those
+/// up to `shown`, where more were shown before.
+visualization_msgs::MarkerArray rowMarkers(const std::vector<Phenotype>& plants, std::size_t shown,
+                                           const std_msgs::Header& header);
 /// Takes all markers away.
 visualization_msgs::MarkerArray noMarkers(const std_msgs::Header& header);
 

@@ -9,6 +9,8 @@ namespace {
 // About an hour of driving. Beyond it the oldest are given up.
 constexpr std::size_t kMostWaiting = 5000U;
 
+const ros::WallDuration kRetryInterval(1.0);
+
 std::string journalOf(const ros::NodeHandle& pnh) {
   return pnh.param<std::string>("journal", "");
 }
@@ -57,14 +59,20 @@ PlantTable::Change DurableTable::update(const BlockHeader& header,
   if (path_.empty() || !change.accepted) return change;
   begun_ = true;
   waiting_.push_back({source, plants});
-  write(header.frame_id);
+  frame_id_ = header.frame_id;
+  write();
   return change;
 }
 
-void DurableTable::write(const std::string& frame_id) {
+void DurableTable::retry() {
+  if (!waiting_.empty() && ros::WallTime::now() - tried_ > kRetryInterval) write();
+}
+
+void DurableTable::write() {
+  tried_ = ros::WallTime::now();
   try {
     if (!journal_) open();
-    journal_->setFrameId(frame_id);
+    journal_->setFrameId(frame_id_);
     while (!waiting_.empty()) {
       journal_->append(waiting_.front());
       waiting_.pop_front();

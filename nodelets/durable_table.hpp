@@ -24,17 +24,21 @@ class DurableTable {
   DurableTable(const ros::NodeHandle& pnh, StageHealth& health);
 
   PlantTable::Change update(const BlockHeader& header, const std::vector<Phenotype>& plants);
+  /// Tries again to write what waits, at most once a second; call it often.
+  void retry();
   const PlantTable& table() const { return table_; }
 
  private:
   void open();
-  void write(const std::string& frame_id);
+  void write();
 
   const std::string path_;
   StageHealth& health_;
   PlantTable table_;
   std::unique_ptr<PhenotypeJournal> journal_;
   std::deque<JournalReport> waiting_;  // to be written
+  std::string frame_id_;               // of those
+  ros::WallTime tried_;                // to write them
   bool begun_ = false;                 // reports were made, so an older journal comes too late
 };
 

@@ -1,18 +1,28 @@
 #include "measurement_stage.hpp"
 
+#include <algorithm>
 #include <boost/make_shared.hpp>
 
 #include "conversions.hpp"
 #include "field_phenotyping/measurement/measurement.hpp"
 
 namespace field_phenotyping {
+namespace {
+
+const ros::WallDuration kRowsInterval(3.0);
+constexpr double kRowsReach = 30.0;  // [m]
+
+}  // namespace
 
 MeasurementStage::MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
     : stage_(nh, pnh, name), plants_(stage_.privateHandle(), stage_.health()) {
   markers_ = stage_.privateHandle().advertise<visualization_msgs::MarkerArray>(
       "markers", 10, [this](const ros::SingleSubscriberPublisher&) { new_listener_ = true; });
   stage_.start([this](const auto& block, const auto& p) { return work(*block, p); },
-               [this] { showMarkers(); });
+               [this] {
+                 plants_.retry();
+                 showMarkers();
+               });
 }
 
 MeasurementStage::~MeasurementStage() {
@@ -30,6 +40,8 @@ boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
   if (change.accepted) {
     removed_.insert(removed_.end(), change.removed.begin(), change.removed.end());
     fresh_.insert(fresh_.end(), plants.begin(), plants.end());
+    rows_outdated_ = true;
+    last_place_ = header.lowCorner();
   }
   stage_.health().show("plants known", static_cast<double>(plants_.table().size()));
   stage_.health().show("plants in the last block", static_cast<double>(plants.size()));
@@ -49,6 +61,7 @@ void MeasurementStage::showMarkers() {
   if (markers_.getNumSubscribers() > 0U && plants_.table().size() + removed_.size() > 0U) {
     if (new_listener_.exchange(false)) {
       markers_.publish(noMarkers(header_));
+      rows_outdated_ = true;
       markers_.publish(plantMarkers(plants_.table().plants(), header_));
     } else {
       if (!removed_.empty()) markers_.publish(removedMarkers(removed_, header_));
@@ -57,6 +70,28 @@ void MeasurementStage::showMarkers() {
   }
   removed_.clear();
   fresh_.clear();
+  showRows();
+}
+
+/// Those about the last block, for rows are taken for straight.
+void MeasurementStage::showRows() {
+  if (!rows_outdated_ || markers_.getNumSubscribers() == 0U) return;
+  const ros::WallTime now = ros::WallTime::now();
+  if (now - rows_time_ < kRowsInterval) return;
+  rows_time_ = now;
+  rows_outdated_ = false;
+  std::vector<Phenotype> near = plants_.table().plants();
+  near.erase(std::remove_if(near.begin(), near.end(),
+                            [this](const Phenotype& plant) {
+                              return (plant.base.head<2>() - last_place_).norm() > kRowsReach;
+                            }),
+             near.end());
+  const visualization_msgs::MarkerArray rows = rowMarkers(near, rows_shown_, header_);
+  rows_shown_ = static_cast<std::size_t>(std::count_if(
+      rows.markers.begin(), rows.markers.end(), [](const visualization_msgs::Marker& row) {
+        return row.action == visualization_msgs::Marker::ADD;
+      }));
+  if (!rows.markers.empty()) markers_.publish(rows);
 }
 
 }  // namespace field_phenotyping

@@ -29,12 +29,17 @@ class MeasurementStage {
                                                     const MeasurementParameters& parameters);
   void noteFirstValues(const BlockHeader& header, std::size_t plants);
   void showMarkers();
+  void showRows();
 
   Stage stage_;
   DurableTable plants_;
-  std_msgs::Header header_;                // of the last block
-  std::vector<std::int32_t> removed_;      // plants whose markers are to go
-  std::vector<Phenotype> fresh_;           // plants whose markers are to change
+  std_msgs::Header header_;                               // of the last block
+  std::vector<std::int32_t> removed_;                     // plants whose markers are to go
+  std::vector<Phenotype> fresh_;                          // plants whose markers are to change
+  Eigen::Vector2d last_place_ = Eigen::Vector2d::Zero();  // of the last block [m]
+  std::size_t rows_shown_ = 0U;
+  bool rows_outdated_ = false;
+  ros::WallTime rows_time_;                // when they were shown
   std::atomic<bool> new_listener_{false};  // wants to see all of them
   ros::Publisher markers_;
 };

@@ -68,7 +68,6 @@ void PlantTable::put(const ReportSource& source, const Phenotype& plant) {
   if (!first) by_block_[entry.block].erase(plant.id);
   entry.block = source.block;
   by_block_[entry.block].insert(plant.id);
-  fuseAgain(entry);
 }
 
 /// @return whether nothing is left of the plant
@@ -82,25 +81,23 @@ bool PlantTable::takeBack(const ReportSource& source, std::int32_t id) {
                                              record.source.began_ns == source.began_ns;
                                     }),
                      entry.passes.end());
-  if (!entry.passes.empty()) {
-    fuseAgain(entry);
-    return false;
-  }
+  if (!entry.passes.empty()) return false;
   by_block_[entry.block].erase(id);
   plants_.erase(found);
   return true;
 }
 
-void PlantTable::fuseAgain(Entry& entry) {
+/// Not kept: most plants are passed once, and there are many of them.
+Phenotype PlantTable::fused(const Entry& entry) {
   std::vector<Phenotype> passes;
   for (const Record& record : entry.passes) passes.push_back(record.plant);
-  entry.fused = fusePasses(passes);
+  return fusePasses(passes);
 }
 
 std::vector<Phenotype> PlantTable::plants() const {
   std::vector<Phenotype> all;
   all.reserve(plants_.size());
-  for (const auto& entry : plants_) all.push_back(entry.second.fused);
+  for (const auto& entry : plants_) all.push_back(fused(entry.second));
   return all;
 }
 
@@ -108,14 +105,14 @@ std::vector<Phenotype> PlantTable::plantsOf(const BlockIndex& block) const {
   std::vector<Phenotype> plants;
   const auto ids = by_block_.find(block);
   if (ids == by_block_.end()) return plants;
-  for (const std::int32_t id : ids->second) plants.push_back(plants_.at(id).fused);
+  for (const std::int32_t id : ids->second) plants.push_back(fused(plants_.at(id)));
   return plants;
 }
 
 std::vector<KnownPlant> PlantTable::known() const {
   std::vector<KnownPlant> known;
   for (const auto& [id, entry] : plants_) {
-    known.push_back({id, entry.fused.base.head<2>(), entry.passes.back().source.stamp_ns});
+    known.push_back({id, fused(entry).base.head<2>(), entry.passes.back().source.stamp_ns});
   }
   return known;
 }

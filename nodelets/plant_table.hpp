@@ -57,8 +57,7 @@ class PlantTable {
   };
   struct Entry {
     std::vector<Record> passes;  ///< oldest first; no two overlap in time
-    Phenotype fused;
-    BlockIndex block;  ///< that reported it last: a plant near a border may change sides
+    BlockIndex block;            ///< that reported it last: a plant near a border may change sides
   };
   struct Said {
     ReportSource source;
@@ -66,7 +65,7 @@ class PlantTable {
   };
 
   void put(const ReportSource& source, const Phenotype& plant);
-  static void fuseAgain(Entry& entry);
+  static Phenotype fused(const Entry& entry);
   bool takeBack(const ReportSource& source, std::int32_t id);
 
   std::map<std::int32_t, Entry> plants_;

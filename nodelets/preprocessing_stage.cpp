@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <boost/make_shared.hpp>
 #include <chrono>
+#include <cmath>
 #include <exception>
 #include <limits>
 #include <set>
@@ -20,6 +21,8 @@ namespace {
 // again), not that scans changed places on the way.
 const ros::Duration kTimeJump(1.0);
 const ros::Duration kTfMemory(60.0);
+// Scans and transforms that lie this far apart are not late, they go by different clocks [s].
+constexpr double kOtherClock = 30.0;
 // Coarser coordinates than this spoil a stem's diameter [m].
 constexpr double kCoarse = 0.001;
 constexpr std::chrono::seconds kFlushLimit(120);
@@ -220,12 +223,41 @@ std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const Waiting
   if (try_again) return std::nullopt;
 
   health_.count("scans dropped: no transform");
+  if (nameOtherClock(header)) return std::nullopt;
   std::ostringstream text;
   text << "a scan was dropped: no transform from '" << frame << "' to '" << target_frame_
        << "' at its stamp within " << tf_timeout_.toSec() << " s (" << reason
        << "). Is the SLAM running, is target_frame right, is use_sim_time set for a bag?";
   health_.trouble("no transform", text.str());
   return std::nullopt;
+}
+
+/// Scans by one clock and transforms by another never meet; nor do those of a bag that starts again
+/// while tf2 still holds what came after.
+/// @return whether that is what is wrong
+bool PreprocessingStage::nameOtherClock(const std_msgs::Header& header) {
+  const std::string frame = withoutSlash(header.frame_id);
+  const ros::Time any;  // the newest transform that there is
+  if (!tf_buffer_.canTransform(target_frame_, frame, any)) return false;
+  const ros::Time newest = tf_buffer_.lookupTransform(target_frame_, frame, any).header.stamp;
+  const double apart = header.stamp.toSec() - newest.toSec();
+  if (newest.isZero() || std::abs(apart) < kOtherClock) return false;
+  health_.count("scans dropped: another clock than tf");
+  std::ostringstream text;
+  text
+      << "a scan was dropped: it is " << std::abs(apart) << " s "
+      << (apart > 0.0 ? "younger" : "older") << " than the newest transform from '" << frame
+      << "' to '" << target_frame_ << "'. Scans and transforms go by different clocks: set "
+      << "use_sim_time for all nodes and play the bag with --clock, or for none, and let one clock "
+      << "stamp both";
+  if (apart < 0.0 && header.stamp + kTimeJump < newest_stamp_) {
+    // tf2 would refuse what is older than its memory.
+    tf_buffer_.clear();
+    text << ". Or time went back, as when a bag starts again: older transforms are forgotten, and "
+         << "scans are placed again as soon as newer ones come";
+  }
+  health_.trouble("another clock", text.str());
+  return true;
 }
 
 void PreprocessingStage::place(const sensor_msgs::PointCloud2ConstPtr& message,

@@ -57,6 +57,7 @@ class PreprocessingStage {
   bool hasRoom() const;
   bool addScan(const WaitingScan& waiting);
   std::optional<Eigen::Isometry3d> findTransform(const WaitingScan& waiting, bool& try_again);
+  bool nameOtherClock(const std_msgs::Header& header);
   void place(const sensor_msgs::PointCloud2ConstPtr& message,
              const Eigen::Isometry3d& T_target_sensor);
   Scan scanOf(const sensor_msgs::PointCloud2& message) const;

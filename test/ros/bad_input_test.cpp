@@ -75,6 +75,50 @@ TEST_F(BadInput, WithABrokenStampIsNamed) {
   expectTrouble(cloud, "its stamp is zero");
 }
 
+TEST_F(BadInput, BeforeItsTransformIsNamed) {
+  const ros::Time now = ros::Time::now();
+  client_->broadcast(Eigen::Isometry3d::Identity(), now - ros::Duration(5.0));
+  auto cloud = goodCloud("lidar");
+  cloud.header.stamp = now;
+  expectTrouble(cloud,
+                "no transform from 'lidar' to 'map' at its stamp within 1 s (Lookup would "
+                "require extrapolation");
+}
+
+TEST_F(BadInput, ByAnotherClockThanTheTransformsIsNamed) {
+  client_->broadcast(Eigen::Isometry3d::Identity(), ros::Time::now());
+  auto cloud = goodCloud("lidar");
+  cloud.header.stamp = ros::Time(1600000000.0);
+  expectTrouble(cloud, "Scans and transforms go by different clocks: set use_sim_time");
+}
+
+// Without /clock tf2 does not notice, and refuses transforms that are older than its memory.
+TEST_F(BadInput, OfABagThatStartsAgainIsPlacedAgain) {
+  const ros::Time end = ros::Time::now() + ros::Duration(1.0);
+  const ros::Time begin = end - ros::Duration(100.0);
+  const auto scanAt = [&](const ros::Time& stamp) {
+    auto cloud = goodCloud("lidar");
+    cloud.header.stamp = stamp;
+    client_->broadcast(Eigen::Isometry3d::Identity(), stamp);
+    client_->publish(cloud);
+    client_->waitFor([] { return false; }, 0.3);
+  };
+  const auto becomesMore = [&](const char* name, double than) {
+    return client_->waitFor([&] { return client_->valueOf("preprocessing", name) > than; }, 8.0);
+  };
+  constexpr const char* kPlaced = "scans placed";
+  constexpr const char* kDropped = "scans dropped: another clock than tf";
+  double placed = client_->valueOf("preprocessing", kPlaced);
+  scanAt(end);
+  EXPECT_TRUE(becomesMore(kPlaced, placed));
+  const double dropped = client_->valueOf("preprocessing", kDropped);
+  scanAt(begin);
+  EXPECT_TRUE(becomesMore(kDropped, dropped));
+  placed = client_->valueOf("preprocessing", kPlaced);
+  scanAt(begin + ros::Duration(5.0));
+  EXPECT_TRUE(becomesMore(kPlaced, placed));
+}
+
 // A stamp so late that a second more is too much for ros::Time.
 TEST_F(BadInput, AtTheEndOfTimeDoesNotBlockTheQueue) {
   auto cloud = goodCloud("map");

@@ -122,20 +122,66 @@ TEST(Markers, ShowAxisAndLabelOfEachPlant) {
   std_msgs::Header header;
   header.frame_id = "map";
   const auto array = plantMarkers({somePlant(), unmeasured}, header);
-  ASSERT_EQ(array.markers.size(), 4U);
+  ASSERT_EQ(array.markers.size(), 6U);
   EXPECT_EQ(array.markers[0].ns, "axis");
   EXPECT_EQ(array.markers[0].id, 42);
   ASSERT_EQ(array.markers[0].points.size(), 2U);
-  // The line ends at the plant's height, leaning as its axis does.
+  // The line ends at the plant's height, leaning as its axis does; the bar stands upright.
   EXPECT_NEAR(array.markers[0].points[1].z, 3.0 + 1.92, 1e-9);
   EXPECT_NEAR(array.markers[0].points[1].y, 2.0 + 1.92 * 0.75, 1e-9);
-  EXPECT_EQ(array.markers[1].ns, "label");
-  EXPECT_EQ(array.markers[1].text, "1.92 m\n21.3 mm");
-  EXPECT_EQ(array.markers[3].text, "height ?\ndiameter ?");
+  EXPECT_EQ(array.markers[1].ns, "height");
+  EXPECT_NEAR(array.markers[1].scale.z, 1.92, 1e-9);
+  EXPECT_NEAR(array.markers[1].pose.position.z, 3.0 + 0.96, 1e-9);
+  EXPECT_NEAR(array.markers[1].pose.position.y, 2.0, 1e-9);
+  EXPECT_EQ(array.markers[2].ns, "label");
+  EXPECT_EQ(array.markers[2].text, "1.92 m\n21.3 mm");
+  EXPECT_LT(array.markers[4].scale.z, 0.02) << "no height is known";
+  EXPECT_EQ(array.markers[5].text, "height ?\ndiameter ?");
   for (const auto& marker : array.markers) {
     EXPECT_EQ(marker.header.frame_id, "map");
     EXPECT_TRUE(std::isfinite(marker.pose.position.z));
   }
+}
+
+TEST(Markers, LabelsOfNeighboursInARowDoNotCoverOneAnother) {
+  std::vector<Phenotype> row(6, somePlant());
+  for (std::size_t k = 0; k < row.size(); ++k) row[k].base.x() = 0.2 * static_cast<double>(k) + 0.1;
+  std::vector<geometry_msgs::Point> labels;
+  for (const auto& marker : plantMarkers(row, std_msgs::Header()).markers) {
+    if (marker.ns == "label") labels.push_back(marker.pose.position);
+  }
+  ASSERT_EQ(labels.size(), row.size());
+  for (std::size_t a = 0; a < labels.size(); ++a) {
+    for (std::size_t b = 0; b < a; ++b) {
+      EXPECT_TRUE(std::abs(labels[a].x - labels[b].x) > 0.5 ||
+                  std::abs(labels[a].z - labels[b].z) > 0.14)
+          << a << " and " << b;
+    }
+  }
+}
+
+TEST(Markers, ShowRowsAsLinesAndTakeOldOnesAway) {
+  std::vector<Phenotype> plants;
+  for (int k = 0; k < 10; ++k) {
+    for (const double y : {0.0, 0.75}) {
+      Phenotype plant = somePlant();
+      plant.base = {0.2 * k, y, 90.0};
+      plants.push_back(plant);
+    }
+  }
+  const auto rows = rowMarkers(plants, 3U, std_msgs::Header());
+  ASSERT_EQ(rows.markers.size(), 3U);
+  for (std::size_t k = 0; k < 2U; ++k) {
+    const auto& row = rows.markers[k];
+    EXPECT_EQ(row.ns, "row");
+    EXPECT_EQ(row.id, static_cast<int>(k));
+    ASSERT_EQ(row.points.size(), 2U);
+    EXPECT_NEAR(std::abs(row.points[1].x - row.points[0].x), 1.8, 0.01);
+    EXPECT_NEAR(row.points[0].z, 90.05, 1e-6);
+  }
+  EXPECT_NEAR(std::abs(rows.markers[1].points[0].y - rows.markers[0].points[0].y), 0.75, 0.01);
+  EXPECT_EQ(rows.markers[2].action, visualization_msgs::Marker::DELETE);
+  EXPECT_TRUE(rowMarkers({}, 0U, std_msgs::Header()).markers.empty());
 }
 
 TEST(Markers, ShowTheBordersOfABlockOnItsSoil) {
@@ -164,11 +210,12 @@ TEST(Markers, ShowTheBordersOfABlockOnItsSoil) {
 
 TEST(Markers, AreTakenAwayWithTheirPlants) {
   const auto removed = removedMarkers({42}, std_msgs::Header());
-  ASSERT_EQ(removed.markers.size(), 2U);
+  ASSERT_EQ(removed.markers.size(), 3U);
   EXPECT_EQ(removed.markers[0].action, visualization_msgs::Marker::DELETE);
   EXPECT_EQ(removed.markers[0].ns, "axis");
-  EXPECT_EQ(removed.markers[1].ns, "label");
-  EXPECT_EQ(removed.markers[1].id, 42);
+  EXPECT_EQ(removed.markers[1].ns, "height");
+  EXPECT_EQ(removed.markers[2].ns, "label");
+  EXPECT_EQ(removed.markers[2].id, 42);
   EXPECT_EQ(noMarkers(std_msgs::Header()).markers.at(0).action,
             visualization_msgs::Marker::DELETEALL);
 }
