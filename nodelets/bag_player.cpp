@@ -51,6 +51,11 @@ BagPlayer::BagPlayer(ros::NodeHandle nh, const ros::NodeHandle& pnh, std::string
       tf_ahead_(clamped(pnh, "tf_ahead", 2.0, 0.0)),
       most_scans_(countOf(pnh, "scans_in_work", 10)),
       most_blocks_(countOf(pnh, "blocks_in_work", 6)),
+      loops_(countOf(pnh, "loops", 1)),
+      loop_period_(clamped(pnh, "loop_period", 0.0, 0.0)),
+      loop_step_x_(pnh.param("loop_step_x", 0.0)),
+      loop_step_y_(pnh.param("loop_step_y", 0.0)),
+      map_frame_(pnh.param<std::string>("map_frame", "map")),
       clock_(nh.advertise<rosgraph_msgs::Clock>("/clock", 10)),
       points_(nh.advertise<sensor_msgs::PointCloud2>(points_topic_,
                                                      static_cast<std::uint32_t>(most_scans_))),
@@ -141,25 +146,34 @@ void BagPlayer::publishStaticTransforms() {
 void BagPlayer::play() {
   begin_ = told_ = ros::WallTime::now();
   publishStaticTransforms();
+  for (std::size_t loop = 0; running_ && loop < loops_; ++loop) playOnce(loop);
+  if (!running_) return;
+  // The last scan may be kept: nothing follows that would take its place.
+  waitForRoom(2U, 1U);
+  told_ = ros::WallTime();
+  tell("all scans are placed");
+  if (running_) flush();
+}
+
+void BagPlayer::playOnce(std::size_t loop) {
   next_transform_ = transforms_->begin();
   for (const rosbag::MessageInstance& instance : *scans_) {
-    const sensor_msgs::PointCloud2ConstPtr scan = instance.instantiate<sensor_msgs::PointCloud2>();
+    sensor_msgs::PointCloud2Ptr scan = instance.instantiate<sensor_msgs::PointCloud2>();
     if (!scan) continue;
+    if (loop > 0U) scan->header.stamp = timeIn(loop, scan->header.stamp);
     waitForRoom(most_scans_, most_blocks_);
-    now_ = std::max(now_, instance.getTime());
+    now_ = std::max(now_, timeIn(loop, instance.getTime()));
     keepPace(now_);
     if (!running_) return;
-    playTransformsUntil(now_ + tf_ahead_);
+    playTransformsUntil(instance.getTime() + tf_ahead_, loop);
     tick();
-    points_.publish(scan);
-    in_work_.emplace_back(scan);
+    const sensor_msgs::PointCloud2ConstPtr finished = std::move(scan);
+    points_.publish(finished);
+    in_work_.emplace_back(finished);
     ++scans_played_;
     tell();
   }
-  playTransformsUntil(ros::TIME_MAX);
-  // The last scan may be kept: nothing follows that would take its place.
-  waitForRoom(2U, 1U);
-  if (running_) flush();
+  playTransformsUntil(ros::TIME_MAX, loop);
 }
 
 /// Every stage hands on what it holds, down the chain.
@@ -180,7 +194,8 @@ void BagPlayer::flush() {
 }
 
 /// In one message, for the listeners' queues are shorter than what comes within some seconds.
-void BagPlayer::playTransformsUntil(const ros::Time& time) {
+/// @param time of the bag
+void BagPlayer::playTransformsUntil(const ros::Time& time, std::size_t loop) {
   tf2_msgs::TFMessage due;
   for (; next_transform_ != transforms_->end() && next_transform_->getTime() <= time;
        ++next_transform_) {
@@ -189,7 +204,21 @@ void BagPlayer::playTransformsUntil(const ros::Time& time) {
     due.transforms.insert(due.transforms.end(), message->transforms.begin(),
                           message->transforms.end());
   }
+  for (geometry_msgs::TransformStamped& transform : due.transforms) moveOn(transform, loop);
   if (!due.transforms.empty()) tf_.publish(due);
+}
+
+/// A time of the bag, when it is played for the `loop`-th time.
+ros::Time BagPlayer::timeIn(std::size_t loop, const ros::Time& time) const {
+  return time + loop_period_ * static_cast<double>(loop);
+}
+
+void BagPlayer::moveOn(geometry_msgs::TransformStamped& transform, std::size_t loop) const {
+  if (loop == 0U) return;
+  transform.header.stamp = timeIn(loop, transform.header.stamp);
+  if (transform.header.frame_id != map_frame_) return;
+  transform.transform.translation.x += loop_step_x_ * static_cast<double>(loop);
+  transform.transform.translation.y += loop_step_y_ * static_cast<double>(loop);
 }
 
 /// Until fewer scans and blocks than these are in work.
@@ -241,7 +270,7 @@ void BagPlayer::tell(const std::string& last) {
   if (now - told_ < kTellInterval) return;
   told_ = now;
   const double played = (now_ - scans_->getBeginTime()).toSec();
-  const double all = (scans_->getEndTime() - scans_->getBeginTime()).toSec();
+  const double all = (timeIn(loops_ - 1U, scans_->getEndTime()) - scans_->getBeginTime()).toSec();
   const double taken = (now - begin_).toSec();
   std::ostringstream text;
   text << std::fixed << std::setprecision(1) << "[" << name_ << "] " << played << " of " << all

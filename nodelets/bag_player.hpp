@@ -1,6 +1,7 @@
 #pragma once
 
 #include <field_phenotyping/PlantPhenotypeArray.h>
+#include <geometry_msgs/TransformStamped.h>
 #include <ros/ros.h>
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
@@ -27,13 +28,17 @@ namespace field_phenotyping {
 /// A scan counts as in work while anybody in the process holds its message, a block until the
 /// measurement has answered its newest revision.
 ///
+/// Played several times in a row, time goes on from one time to the next, and so does the place:
+/// the transforms of the map are moved on, as if one long field were driven through.
+///
 /// Transforms are handed out ahead of the scans, so that no scan has to wait for its own; /clock
 /// follows the scans. On a thread of its own from the constructor on.
 class BagPlayer {
  public:
   /// Reads `~bag`, `~points_topic`, `~rate` [times real time; 0: as fast as can be worked],
-  /// `~tf_ahead` [s], `~scans_in_work`, `~blocks_in_work`, and `~wait_for_services`: what must be
-  /// there before the first scan.
+  /// `~tf_ahead` [s], `~scans_in_work`, `~blocks_in_work`, `~loops`, and for these `~loop_period`
+  /// [s], `~loop_step_x`, `~loop_step_y` [m] and `~map_frame`, and `~flush_services`: what must be
+  /// there before the first scan and is called after the last.
   BagPlayer(ros::NodeHandle nh, const ros::NodeHandle& pnh, std::string name);
   ~BagPlayer();
 
@@ -43,8 +48,11 @@ class BagPlayer {
   void open();
   void publishStaticTransforms();
   void play();
+  void playOnce(std::size_t loop);
   void flush();
-  void playTransformsUntil(const ros::Time& time);
+  void playTransformsUntil(const ros::Time& time, std::size_t loop);
+  ros::Time timeIn(std::size_t loop, const ros::Time& time) const;
+  void moveOn(geometry_msgs::TransformStamped& transform, std::size_t loop) const;
   void waitForRoom(std::size_t scans, std::size_t blocks);
   void keepPace(const ros::Time& time);
   void tick();
@@ -63,6 +71,11 @@ class BagPlayer {
   const ros::Duration tf_ahead_;
   const std::size_t most_scans_;
   const std::size_t most_blocks_;
+  const std::size_t loops_;
+  const ros::Duration loop_period_;
+  const double loop_step_x_;  // [m]
+  const double loop_step_y_;
+  const std::string map_frame_;
   std::vector<std::string> flush_services_;
 
   rosbag::Bag bag_;

@@ -1,10 +1,18 @@
 #include "completion_stage.hpp"
 
 #include <boost/make_shared.hpp>
+#include <cstdint>
+#include <iterator>
 
 #include "field_phenotyping/completion/completion.hpp"
 
 namespace field_phenotyping {
+namespace {
+
+// An open block that was not heard of for so long is open no more: its last revision was dropped.
+constexpr std::uint64_t kLongestOpen = 120'000'000'000U;  // [ns]
+
+}  // namespace
 
 CompletionStage::CompletionStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
     : stage_(nh, pnh, name),
@@ -46,6 +54,12 @@ void CompletionStage::keepLatest(const BlockIndex& index,
     latest_.erase(index);  // no newer revision will come
   } else {
     latest_[index] = block;
+  }
+  const std::uint64_t now = block->segmented->header.stamp_ns;
+  for (auto entry = latest_.begin(); entry != latest_.end();) {
+    const std::uint64_t then = entry->second->segmented->header.stamp_ns;
+    const std::uint64_t apart = now > then ? now - then : then - now;
+    entry = apart > kLongestOpen ? latest_.erase(entry) : std::next(entry);
   }
 }
 

@@ -1,7 +1,10 @@
 #include "stage_health.hpp"
 
+#include <unistd.h>
+
 #include <algorithm>
 #include <cmath>
+#include <fstream>
 
 namespace field_phenotyping {
 namespace {
@@ -9,6 +12,15 @@ namespace {
 const ros::WallDuration kRateWindow(5.0);
 const ros::WallDuration kTroubleShown(10.0);
 const ros::WallDuration kLogInterval(5.0);
+
+/// Of this process, which may hold other stages too [MB]; 0 where the system does not tell.
+double residentMemory() {
+  std::ifstream statm("/proc/self/statm");
+  double all = 0.0;
+  double resident = 0.0;
+  if (!(statm >> all >> resident)) return 0.0;
+  return resident * static_cast<double>(sysconf(_SC_PAGESIZE)) * 1e-6;
+}
 
 }  // namespace
 
@@ -110,6 +122,7 @@ void StageHealth::fill(diagnostic_updater::DiagnosticStatusWrapper& status) {
   status.add("received", received_);
   status.add("age at arrival [s]", age_);
   status.add("latency [s]", latency_);
+  status.add("memory of the process [MB]", residentMemory());
   if (!last_arrival_.isZero()) status.add("silent for [s]", (now - last_arrival_).toSec());
   for (const auto& [what, value] : counters_) status.add(what, value);
   for (const auto& [what, value] : figures_) status.add(what, value);

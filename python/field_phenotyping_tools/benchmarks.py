@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -90,6 +91,20 @@ class Bench:
 
     def replay(self, bag, *settings):
         """Folder of what replay.launch makes of a bag, with a ROS master of its own, and seconds."""
+        output, process, said, _ = self._start_replay(bag, settings)
+        begin = time.time()
+        self._finish_replay(process, said)
+        return output, time.time() - begin
+
+    def watched_replay(self, bag, *settings):
+        """Like replay(), and what was to be seen meanwhile: (folder, Watch)."""
+        output, process, said, environment = self._start_replay(bag, settings)
+        watch = Watch(environment, os.path.join(output, 'diagnostics.bag'))
+        watch.said = self._finish_replay(process, said)
+        watch.stop()
+        return output, watch
+
+    def _start_replay(self, bag, settings):
         output = self._new_folder('replay')
         with socket.socket() as listener:
             listener.bind(('127.0.0.1', 0))
@@ -100,18 +115,22 @@ class Bench:
             ROS_HOME=os.path.join(output, 'ros'),
         )
         command = ['roslaunch', '-p', str(port), 'field_phenotyping', 'replay.launch']
-        command += ['bag:=' + bag, 'output:=' + output] + list(settings)
-        begin = time.time()
-        done = subprocess.run(
-            command,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            universal_newlines=True,
-        )
-        if done.returncode != 0:
-            raise InputError('{} failed:\n{}'.format(' '.join(command), done.stdout[-4000:]))
-        return output, time.time() - begin
+        command += ['bag:=' + bag, 'output:=' + output] + [str(setting) for setting in settings]
+        said = os.path.join(output, 'log')
+        with open(said, 'w') as log:
+            process = subprocess.Popen(
+                command, env=environment, stdout=log, stderr=subprocess.STDOUT
+            )
+        return output, process, said, environment
+
+    def _finish_replay(self, process, said):
+        """Waits for the end; returns what the nodes said."""
+        process.wait()
+        with open(said, errors='replace') as log:
+            words = log.read()
+        if process.returncode != 0:
+            raise InputError('{} failed:\n{}'.format(' '.join(process.args), words[-4000:]))
+        return words
 
     def measure(self, cloud, *settings):
         """Folder of a run of phenotype_cloud with its defaults and `settings`."""
@@ -133,6 +152,51 @@ class Bench:
     def _new_folder(self, name):
         self._count += 1
         return os.path.join(self._folder, '{}_{}'.format(name, self._count))
+
+
+class Watch:
+    """Records the diagnostics at a ROS master."""
+
+    def __init__(self, environment, diagnostics):
+        self.said = ''  # by the nodes
+        self._diagnostics = diagnostics
+        self._recorder = subprocess.Popen(
+            ['rosbag', 'record', '--quiet', '-O', diagnostics, '/diagnostics'],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def stop(self):
+        # roslaunch may have ended the recorder's master already; what it has written is kept.
+        self._recorder.send_signal(signal.SIGINT)
+        try:
+            self._recorder.wait(20)
+        except subprocess.TimeoutExpired:
+            self._recorder.kill()
+            self._recorder.wait()
+
+    def diagnostics(self):
+        """{stage: [(ROS time [s], {name: number})]}, oldest first."""
+        import rosbag
+
+        path = self._diagnostics
+        if not os.path.exists(path):
+            subprocess.run(['rosbag', 'reindex', '--quiet', path + '.active'])
+            path += '.active'
+        stages = {}
+        with rosbag.Bag(path, allow_unindexed=True) as bag:
+            for _, message, _ in bag.read_messages():
+                for status in message.status:
+                    stage = status.name.split(':')[0].strip().rsplit('/', 1)[-1]
+                    values = {}
+                    for entry in status.values:
+                        try:
+                            values[entry.key] = float(entry.value)
+                        except ValueError:
+                            pass
+                    stages.setdefault(stage, []).append((message.header.stamp.to_sec(), values))
+        return stages
 
 
 def cloud_of(field):

@@ -5,6 +5,7 @@ Each takes a Bench and a folder for pictures, prints itself and returns {row: fi
 
 import json
 import os
+import re
 import sqlite3
 
 import numpy as np
@@ -17,6 +18,19 @@ COVERAGE = '0.90 - 0.99'
 REPLAY_GOAL = 5.0  # times real time, 300,000 points/s
 SAME_HEIGHT = 1e-2  # [m] of a plant, from the scans and from the merged cloud
 SAME_DIAMETER = 0.5e-3  # [m]
+# (label, settings of simulate_field): a drive of half a minute, and one as fast as rovers go
+LOADS = (
+    ('4 rows, 0.8 m/s', ('--plants-per-row', '50', '--lane-every', '2', '--speed', '0.8')),
+    ('4 rows, 1.5 m/s', ('--plants-per-row', '90', '--lane-every', '2', '--speed', '1.5')),
+)
+# A straight lane with few points, so that hours of it are replayed in minutes.
+LONG_LANE = (
+    *('--rows', '2', '--plants-per-row', '60', '--lane-every', '99', '--speed', '0.5'),
+    *('--points', '0', '--point-rate', '15000', '--max-range', '4', '--sway', '0'),
+    *('--roughness', '0', '--stage', 'jointing'),
+)
+LONG_DRIVE = 7200.0  # [s]
+SETTLED = 300.0  # [s] after which memory must not grow
 
 
 def _settings(field):
@@ -157,4 +171,125 @@ def clouds_table(bench, _):
     return rows
 
 
-TABLES = {'passes': passes_table, 'clouds': clouds_table}
+def load_table(bench, _):
+    """300,000 pulses a second, 16 beams at 10 Hz: speed at full rate, latencies at the drive's own."""
+    columns = [
+        ('returns/s', figure('returns', decimals=0)),
+        ('scans', figure('scans', decimals=0)),
+        ('dropped', figure('dropped', decimals=0)),
+        ('x real time, to the last scan', figure('times_scan', decimals=1)),
+        ('to the last plant', figure('times_plant', decimals=1)),
+        ('work on a scan, 99 % [ms]', figure('scan_work', 1e3, 0)),
+        ('scan placed after its arrival, 99 % [ms]', figure('scan_placed', 1e3, 0)),
+        ('first values after the block is due, median [s]', figure('first_median', decimals=2)),
+        ('99 % [s]', figure('first', decimals=2)),
+        ('memory [MB]', figure('memory', decimals=0)),
+    ]
+    print_header('drive', columns)
+    print('| goal | 300000 | - | 0 | - | {:.1f} | 50 | - | - | 1.00 | - |'.format(REPLAY_GOAL))
+    rows = {}
+    for label, settings in LOADS:
+        bench.progress('300,000 pulses/s, ' + label)
+        field = bench.drive('--points', '0', *settings)
+        bag = os.path.join(field, 'field.bag')
+        totals = _settings(field)['totals']
+        _, fast = bench.watched_replay(bag)
+        _, live = bench.watched_replay(bag, 'rate:=1')
+        figures = {
+            'returns': totals['points'] / totals['duration_s'],
+            'scans': totals['scans'],
+            'times_scan': played_speed(fast.said, 'all scans are placed'),
+            'times_plant': played_speed(fast.said, 'all is worked'),
+        }
+        newest = {
+            stage: values[-1][1] for stage, values in live.diagnostics().items() if values
+        }
+        scans, plants = newest['preprocessing'], newest['measurement']
+        figures['dropped'] = sum(
+            value for name, value in scans.items() if name.startswith('scans dropped')
+        )
+        figures['scan_work'] = scans.get('work on a scan, 99 % [s]')
+        figures['scan_placed'] = scans.get('scan, from its arrival until it is placed, 99 % [s]')
+        first = 'plant, from when its block is due until its first values, '
+        figures['first_median'] = plants.get(first + 'median [s]')
+        figures['first'] = plants.get(first + '99 % [s]')
+        figures['memory'] = max(memory_over_time(live.diagnostics())[1])
+        rows[label] = figures
+        print_row(label, columns, figures)
+    note_load()
+    return rows
+
+
+def played_speed(said, stage):
+    """Times real time that the player had reached when it said that."""
+    found = re.search(r'in \S+ s, (\S+) x real time: ' + stage, said)
+    return float(found.group(1)) if found else np.nan
+
+
+def memory_over_time(diagnostics):
+    """(ROS times [s], resident memory of the manager [MB])"""
+    samples = [
+        (time, values['memory of the process [MB]'])
+        for time, values in diagnostics['preprocessing']
+        if 'memory of the process [MB]' in values
+    ]
+    return np.array([time for time, _ in samples]), np.array([value for _, value in samples])
+
+
+def memory_table(bench, _):
+    """One lane driven on and on: resident memory, and whether each plant has one id."""
+    columns = [
+        ('minutes', figure('minutes', decimals=0)),
+        ('km', figure('km', decimals=1)),
+        ('plants', figure('plants', decimals=0)),
+        ('ids in one place', figure('duplicates', decimals=0)),
+        ('memory after 5 min [MB]', figure('memory_early', decimals=1)),
+        ('at the end', figure('memory_late', decimals=1)),
+        ('growth', figure('growth', decimals=3)),
+        ('bytes a plant', figure('bytes_per_plant', decimals=0)),
+        ('x real time', figure('times', decimals=0)),
+    ]
+    print_header('drive', columns)
+    print('| goal | 120 | - | - | 0 | - | - | 0.020 | - | - |')
+    field = bench.drive(*LONG_LANE)
+    path = os.path.join(field, 'trajectory.csv')
+    drive = tables.read_table(path, ('time', 'x', 'y'))
+    period = drive['time'][-1] - drive['time'][0] + np.median(np.diff(drive['time']))
+    step = drive['x'][-1] - drive['x'][0] + np.median(np.diff(drive['x']))
+    loops = int(np.ceil(LONG_DRIVE / period))
+    bench.progress('{} times {:.0f} s of driving'.format(loops, period))
+    folder, watch = bench.watched_replay(
+        os.path.join(field, 'field.bag'),
+        'loops:={}'.format(loops),
+        'loop_period:={:.9f}'.format(period),
+        'loop_step_x:={:.9f}'.format(step),
+    )
+    times, memory = memory_over_time(watch.diagnostics())
+    since = times - drive['time'][0] if times[0] < 1e9 else times - times[0]
+    run = evaluation.Run(folder)
+    # Growth is judged between averages over a minute, for blocks come and go.
+    early = memory[(since >= SETTLED) & (since < SETTLED + 60.0)]
+    late = memory[since >= since[-1] - 60.0]
+    grown = float(np.mean(late) - np.mean(early))
+    share = 1.0 - SETTLED / since[-1]
+    figures = {
+        'minutes': since[-1] / 60.0,
+        'km': loops * step / 1e3,
+        'plants': len(run),
+        'duplicates': matching.close_pairs(run.bases[:, :2], 0.05),
+        'memory_early': float(np.mean(early)),
+        'memory_late': float(np.mean(late)),
+        'growth': grown / float(np.mean(early)),
+        'bytes_per_plant': grown * 1e6 / (share * len(run)),
+        'times': played_speed(watch.said, 'all is worked'),
+    }
+    print_row('one lane', columns, figures)
+    return {'one lane': figures}
+
+
+TABLES = {
+    'passes': passes_table,
+    'clouds': clouds_table,
+    'load': load_table,
+    'memory': memory_table,
+}

@@ -40,6 +40,11 @@ def match_bases(first_xy, second_xy, radius):
     return _assign(i, j, distance, len(first_xy), len(second_xy))
 
 
+def close_pairs(xy, radius):
+    """How many pairs of points lie nearer together than `radius` [m]."""
+    return len(cKDTree(xy[_finite_rows(xy)]).query_pairs(radius))
+
+
 def match_bases_to_axes(points, directions, bases, radius):
     """As match_bases, for straight axes (a point on, and the direction of, each) and bases (n, 3).
 

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 #include <optional>
+#include <set>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
@@ -27,6 +28,16 @@ struct TileState {
   bool dirty = false;  // anything in the block changed since it was last handed on
   bool final = false;  // handed on as final since its last change
   bool evict = false;  // to be finished and forgotten: memory is short
+};
+
+/// A tile that points of the scan that is being added have fallen into: most fall into the same as
+/// the one before.
+struct ReachedTile {
+  BlockIndex index;
+  TileState* state = nullptr;
+  VoxelTile* tile = nullptr;
+  Eigen::Vector3d origin = Eigen::Vector3d::Zero();
+  std::set<BlockIndex> touched;  // blocks that these points have touched
 };
 
 PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std::uint8_t wanted) {
@@ -91,9 +102,10 @@ struct Preprocessor::Impl {
 
   void chooseHeightDatum(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
   std::optional<Eigen::Vector3d> sensorOf(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
+  ReachedTile& reach(const BlockIndex& index);
   bool insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color,
               const std::optional<Eigen::Vector3d>& sensor);
-  void touchBlocksAround(const BlockIndex& index, const Eigen::Vector3f& local);
+  void touchBlocksAround(ReachedTile& reached, const Eigen::Vector3f& local);
   void chooseEvictions();
   bool isFinal(const TileState& state) const;
   bool mayForget(const BlockIndex& index, const TileState& state) const;
@@ -103,6 +115,8 @@ struct Preprocessor::Impl {
   Eigen::Vector2d tile_corner;
   VoxelMap map;
   std::map<BlockIndex, TileState> states;
+  std::map<BlockIndex, ReachedTile> reached_tiles;  // by the scan that is being added
+  ReachedTile* last_reached = nullptr;              // of those
   std::size_t voxel_count = 0U;
   std::uint64_t newest_ns = 0U;
   Eigen::Vector2d scan_center = Eigen::Vector2d::Zero();
@@ -110,22 +124,45 @@ struct Preprocessor::Impl {
   std::optional<Eigen::Vector3d> last_sensor;  // where it was at the scan before
 };
 
+ReachedTile& Preprocessor::Impl::reach(const BlockIndex& index) {
+  if (last_reached != nullptr && last_reached->index == index) return *last_reached;
+  const auto [reached, first_of_scan] = reached_tiles.try_emplace(index);
+  last_reached = &reached->second;
+  if (!first_of_scan) return *last_reached;
+  const auto [state, fresh] = states.try_emplace(index);
+  if (fresh) state->second.began_ns = newest_ns;
+  last_reached->index = index;
+  last_reached->state = &state->second;
+  last_reached->tile = &map.tile(index);
+  last_reached->origin = map.originOf(index);
+  return *last_reached;
+}
+
 /// Every block whose tile or margin holds the point has changed.
-void Preprocessor::Impl::touchBlocksAround(const BlockIndex& index, const Eigen::Vector3f& local) {
+void Preprocessor::Impl::touchBlocksAround(ReachedTile& reached, const Eigen::Vector3f& local) {
   const auto half = static_cast<float>(0.5 * parameters.block_size);
   const auto size = static_cast<float>(parameters.block_size);
   const auto margin = static_cast<float>(parameters.block_margin);
+  const auto touch = [this](TileState& state) {
+    state.touched_ns = newest_ns;
+    state.dirty = true;
+    state.final = false;
+  };
+  touch(*reached.state);
+  const bool inside = local.cwiseAbs().head<2>().maxCoeff() < half - margin;
+  if (inside) return;
   const int rings = static_cast<int>(std::ceil(parameters.block_margin / parameters.block_size));
   for (int dy = -rings; dy <= rings; ++dy) {
     for (int dx = -rings; dx <= rings; ++dx) {
       const float away_x = std::abs(local.x() - static_cast<float>(dx) * size) - half;
       const float away_y = std::abs(local.y() - static_cast<float>(dy) * size) - half;
       if (away_x > margin || away_y > margin) continue;
-      const auto found = states.find({index.x + dx, index.y + dy});
+      const BlockIndex neighbor{reached.index.x + dx, reached.index.y + dy};
+      if (reached.touched.count(neighbor) > 0U) continue;
+      const auto found = states.find(neighbor);
       if (found == states.end()) continue;
-      found->second.touched_ns = newest_ns;
-      found->second.dirty = true;
-      found->second.final = false;
+      touch(found->second);
+      reached.touched.insert(neighbor);
     }
   }
 }
@@ -167,16 +204,13 @@ bool Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::
   const BlockIndex index = map.tileAt(p.x(), p.y());
   const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
   if (!hasVoxelKey(local, map.voxelSize())) return false;
-  const auto [found, fresh] = states.try_emplace(index);
-  TileState& state = found->second;
-  if (fresh) state.began_ns = newest_ns;
-  VoxelTile& tile = map.tile(index);
-  if (tile.insert(local, map.voxelSize(), with_color, color)) {
-    if (sensor) tile.noteOrigin((*sensor - map.originOf(index)).cast<float>());
-    ++state.new_voxels;
+  ReachedTile& reached = reach(index);
+  if (reached.tile->insert(local, map.voxelSize(), with_color, color)) {
+    if (sensor) reached.tile->noteOrigin((*sensor - reached.origin).cast<float>());
+    ++reached.state->new_voxels;
     ++voxel_count;
   }
-  touchBlocksAround(index, local);
+  touchBlocksAround(reached, local);
   return true;
 }
 
@@ -229,6 +263,8 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
   if (!impl_->has_datum) impl_->chooseHeightDatum(scan, T_map_sensor);
   Eigen::Vector2d sum = Eigen::Vector2d::Zero();
   const std::optional<Eigen::Vector3d> sensor = impl_->sensorOf(scan, T_map_sensor);
+  impl_->reached_tiles.clear();
+  impl_->last_reached = nullptr;
   for (std::size_t i = 0; i < scan.cloud.size(); ++i) {
     if (!scan.cloud.points[i].allFinite()) {
       ++report.non_finite;

@@ -39,9 +39,10 @@ double agreement(const std::vector<Eigen::Vector2d>& bases,
 
 PlantRegistry::PlantRegistry(double match_radius) : match_radius_(match_radius) {}
 
-void PlantRegistry::file(Entry entry) {
+void PlantRegistry::file(const Entry& entry) {
   const Cell cell = cellOf(entry.base);
-  entries_.emplace(cell, std::move(entry));
+  if (entry.claimed) claims_[entry.owner].insert(cell);
+  entries_.emplace(cell, entry);
 }
 
 void PlantRegistry::restore(const std::vector<KnownPlant>& plants) {
@@ -54,6 +55,18 @@ void PlantRegistry::restore(const std::vector<KnownPlant>& plants) {
     file(entry);
     next_id_ = std::max(next_id_, plant.id + 1);
   }
+}
+
+void PlantRegistry::releaseClaims(const BlockIndex& block) {
+  const auto claims = claims_.find(block);
+  if (claims == claims_.end()) return;
+  for (const Cell& cell : claims->second) {
+    const auto [begin, end] = entries_.equal_range(cell);
+    for (auto entry = begin; entry != end; ++entry) {
+      if (entry->second.owner == block) entry->second.claimed = false;
+    }
+  }
+  claims_.erase(claims);
 }
 
 /// Every entry within `reach` of the rectangle that holds the bases.
@@ -143,10 +156,7 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     plants.push_back(&plant);
     bases.push_back(all_bases.back());
   }
-  for (auto& cell_and_entry : entries_) {
-    Entry& entry = cell_and_entry.second;
-    if (entry.owner == header.index) entry.claimed = false;
-  }
+  releaseClaims(header.index);
 
   // 1. What was seen before this pass began is where it was in the map of then.
   const Found near = findNear(all_bases, kMostShift + match_radius_);

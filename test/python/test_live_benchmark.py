@@ -34,5 +34,26 @@ class SinglePasses(unittest.TestCase):
         self.assertEqual(newer['stem_diameter'], (0.021, 1e-3))
 
 
+class Sayings(unittest.TestCase):
+    def test_speed_is_that_of_the_stage_that_is_asked_for(self):
+        said = (
+            '[player] 5.0 of 9.0 s, 50 scans, in 2.0 s, 2.5 x real time, about 2 s left\n'
+            '[player] 9.0 of 9.0 s, 90 scans, in 3.0 s, 3.0 x real time: all scans are placed\n'
+            '[player] 9.0 of 9.0 s, 90 scans, in 6.0 s, 1.5 x real time: all is worked\n'
+        )
+        self.assertEqual(live_benchmark.played_speed(said, 'all scans are placed'), 3.0)
+        self.assertEqual(live_benchmark.played_speed(said, 'all is worked'), 1.5)
+        never = live_benchmark.played_speed('', 'all is worked')
+        self.assertNotEqual(never, never)
+
+    def test_memory_comes_from_the_diagnostics_that_tell_it(self):
+        name = 'memory of the process [MB]'
+        times, memory = live_benchmark.memory_over_time(
+            {'preprocessing': [(1.0, {}), (2.0, {name: 70.0}), (3.0, {name: 71.0, 'rate': 1.0})]}
+        )
+        self.assertEqual(list(times), [2.0, 3.0])
+        self.assertEqual(list(memory), [70.0, 71.0])
+
+
 if __name__ == '__main__':
     unittest.main()

@@ -12,6 +12,8 @@ import tempfile
 import time
 import unittest
 
+from PIL import Image
+
 
 def free_port():
     with socket.socket() as listener:
@@ -103,12 +105,39 @@ class ReplayTest(unittest.TestCase):
         self.assertGreater(float(speed.group(1)), 1.0, said)
         self.assertNotIn("dropped", said)
 
+    def test_played_again_and_again_time_and_place_go_on(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag, truth = make_bag(folder)
+            # The rover stands still at the end, and at the beginning of the next time.
+            code, said, plants = replay(
+                folder, "bag:=" + bag, "loops:=3", "loop_period:=3.0", "loop_step_x:=3.6")
+        self.assertEqual(code, 0, said)
+        self.assertRegex(said, r"8\.9 of 8\.9 s, 90 scans, in \S+ s, \S+ x real time: all is worked")
+        self.assertNotIn("time went back", said)
+        self.assertEqual(len(plants), 3 * len(truth), said)
+        for loop in range(3):
+            for x, y, _ in truth:
+                distances = [
+                    math.hypot(float(p["x"]) - x - 3.6 * loop, float(p["y"]) - y) for p in plants]
+                self.assertLess(min(distances), 0.04)
+
     def test_no_faster_than_asked_for(self):
         with tempfile.TemporaryDirectory() as folder:
             bag, truth = make_bag(folder)
             begin = time.monotonic()
             code, said, plants = replay(folder, "bag:=" + bag, "rate:=1.0")
             self.assertGreater(time.monotonic() - begin, 2.9 + 3.0, said)
+            picture = os.path.join(folder, "drive.gif")
+            subprocess.check_call(
+                ["rosrun", "field_phenotyping", "draw_drive", bag, os.path.join(folder, "out"),
+                 "--output", picture, "--seconds", "2"])
+            self.assertLess(os.path.getsize(picture), 1000000)
+            with Image.open(picture) as frames:
+                self.assertEqual(frames.n_frames, 16)
+                self.assertEqual(frames.size[0], 640)
+                first = frames.convert("RGB").tobytes()
+                frames.seek(15)
+                self.assertNotEqual(frames.convert("RGB").tobytes(), first)
         self.assertEqual(len(plants), len(truth), said)
 
     def test_foreign_bag_of_a_road_gives_no_plant_and_says_why(self):

@@ -5,6 +5,7 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <utility>
 #include <vector>
 
@@ -87,11 +88,13 @@ class PlantRegistry {
                                       const std::vector<Eigen::Vector2d>& earlier,
                                       std::uint64_t stamp_ns) const;
   ExpectedShift expectedShift(std::uint64_t stamp_ns) const;
-  void file(Entry entry);
+  void file(const Entry& entry);
+  void releaseClaims(const BlockIndex& block);
 
   const double match_radius_;
   mutable std::mutex mutex_;
   Entries entries_;
+  std::map<BlockIndex, std::set<Cell>> claims_;  // where entries are that a block has claimed
   LastShift last_shift_;
   std::int32_t next_id_ = 0;
 };
