@@ -5,6 +5,7 @@
 #include <rosgraph_msgs/Clock.h>
 #include <std_srvs/Trigger.h>
 
+#include <algorithm>
 #include <exception>
 #include <filesystem>
 #include <iostream>
@@ -23,7 +24,8 @@ constexpr const char* kUsage =
     R"(Usage: rosrun field_phenotyping record_phenotypes _output_dir:=DIR [_journal:=FILE]
 
 Writes what the journal of the measurement holds as DIR/plants.csv, DIR/plants.geojson and DIR/rows.csv,
-whenever it has changed (at most once a second), when asked, and at the end. Metres, radians, map frame.
+whenever it has changed (at most once a second, less often where there are thousands), when asked, and
+at the end. Metres, radians, map frame.
 
 Services
   ~export  std_srvs/Trigger: writes the files now
@@ -36,8 +38,10 @@ Parameters
                    is left behind: the ~flush of each stage                         [[]]
 )";
 
-/// Looks into the journal this often.
+/// Looks into the journal this often, and where there are so many plants that writing takes long,
+/// pauses so many times as long as that.
 const ros::WallDuration kInterval(1.0);
+constexpr double kPauses = 10.0;
 /// Tells how far it is no more often than this.
 const ros::WallDuration kTellInterval(5.0);
 
@@ -62,9 +66,11 @@ class PhenotypeRecorder {
   /// Until the node is shut down or, if so asked, the bag is over.
   /// @return whether everything could be written
   bool run() {
-    while (ros::ok() && !clockHasStopped()) {
+    while (ros::ok()) {
       ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
-      if (ros::WallTime::now() - looked_ > kInterval && readJournal()) write();
+      // Only now: writing may have taken longer than the clock may be silent.
+      if (clockHasStopped()) break;
+      if (ros::WallTime::now() - looked_ > interval_ && readJournal()) write();
     }
     if (ros::ok()) flushStages();
     if (readJournal()) write();
@@ -127,11 +133,13 @@ class PhenotypeRecorder {
   }
 
   bool write() {
+    const ros::WallTime begin = ros::WallTime::now();
     try {
       const std::vector<Phenotype> plants = table_.plants();
       writePhenotypeCsv(directory_ / "plants.csv", plants);
       writePhenotypeGeoJson(directory_ / "plants.geojson", plants, frame_id_);
       writeRowsCsv(directory_ / "rows.csv", plants);
+      interval_ = std::max(kInterval, (ros::WallTime::now() - begin) * kPauses);
       return true;
     } catch (const std::exception& error) {
       ROS_ERROR_STREAM(error.what());
@@ -150,6 +158,7 @@ class PhenotypeRecorder {
   std::int64_t position_ = 0;  // read so far
   std::string frame_id_ = "map";
   bool all_written_ = true;
+  ros::WallDuration interval_ = kInterval;
   ros::WallTime looked_;
   ros::WallTime told_;
   ros::WallTime last_clock_;

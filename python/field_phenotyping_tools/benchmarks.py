@@ -106,6 +106,7 @@ class Bench:
 
     def _start_replay(self, bag, settings):
         output = self._new_folder('replay')
+        os.makedirs(output)
         with socket.socket() as listener:
             listener.bind(('127.0.0.1', 0))
             port = listener.getsockname()[1]

@@ -15,7 +15,7 @@ from .errors import InputError  # noqa: E402
 from .tables import read_table  # noqa: E402
 
 FRAMES_PER_SECOND = 8
-_POINTS = 60000  # drawn of a whole drive
+_POINTS = 40000  # drawn of a whole drive
 _DEPTH = np.array([0.25, 0.35])  # what a metre away from the viewer moves a point [m]
 _BACKGROUND = '#1e1e1e'
 _COLORS = ['#6b5a48', '#557a55', '#8aa88a']  # of points, from the soil up: paler than the plants' bars
