@@ -41,8 +41,12 @@ def match_bases(first_xy, second_xy, radius):
 
 
 def close_pairs(xy, radius):
-    """How many pairs of points lie nearer together than `radius` [m]."""
-    return len(cKDTree(xy[_finite_rows(xy)]).query_pairs(radius))
+    """Pairs of indices of points that lie nearer together than `radius` [m]."""
+    finite = _finite_rows(xy)
+    return [
+        (int(finite[i]), int(finite[j]))
+        for i, j in sorted(cKDTree(xy[finite]).query_pairs(radius))
+    ]
 
 
 def match_bases_to_axes(points, directions, bases, radius):

@@ -5,6 +5,7 @@ import sqlite3
 import tempfile
 import unittest
 
+import numpy as np
 import support  # noqa: F401
 
 from field_phenotyping_tools import live_benchmark
@@ -32,6 +33,22 @@ class SinglePasses(unittest.TestCase):
         self.assertNotEqual(older['stem_diameter'][0], older['stem_diameter'][0])
         self.assertEqual(newer['height'], (1.1, 0.02))
         self.assertEqual(newer['stem_diameter'], (0.021, 1e-3))
+
+
+class Duplicates(unittest.TestCase):
+    def test_only_plants_that_were_never_reported_together_count(self):
+        class Run:
+            ids = np.array([1, 2, 3, 4])
+            bases = np.array([[0.0, 0, 0], [0.03, 0, 0], [5.0, 0, 0], [5.0, 0.04, 0]])
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, 'journal.sqlite')
+            with sqlite3.connect(path) as database:
+                database.execute('CREATE TABLE plant (report INTEGER, plant_id INTEGER)')
+                database.executemany(
+                    'INSERT INTO plant VALUES (?, ?)', [(1, 1), (2, 1), (2, 2), (3, 3), (4, 4)]
+                )
+            self.assertEqual(live_benchmark.ids_of_one_place(Run, path), [(3, 4)])
 
 
 class Sayings(unittest.TestCase):
