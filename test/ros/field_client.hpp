@@ -6,6 +6,7 @@
 #include <ros/ros.h>
 #include <tf2_ros/transform_broadcaster.h>
 
+#include <cstdlib>
 #include <functional>
 #include <map>
 #include <string>
@@ -27,14 +28,15 @@ class FieldClient {
                               &FieldClient::notePlants, this)),
         diagnostics_(nh_.subscribe("/diagnostics", 200, &FieldClient::noteDiagnostics, this)) {}
 
+  /// Takes callbacks meanwhile. @param seconds on a machine of its own; where all is slower, as
+  /// under ThreadSanitizer, so many times as long as the environment's FIELD_PHENOTYPING_PATIENCE
   bool waitFor(const std::function<bool()>& condition, double seconds = 20.0) {
-    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
-    while (ros::ok() && ros::WallTime::now() < end) {
-      ros::spinOnce();
-      if (condition()) return true;
-      ros::WallDuration(0.02).sleep();
-    }
-    return false;
+    const char* patience = std::getenv("FIELD_PHENOTYPING_PATIENCE");
+    return spinUntil(condition, patience == nullptr ? seconds : seconds * std::atof(patience));
+  }
+
+  void spinFor(double seconds) {
+    spinUntil([] { return false; }, seconds);
   }
 
   bool waitForStages() {
@@ -64,7 +66,7 @@ class FieldClient {
         estimate.pretranslate(shift);
         broadcast(estimate, next_stamp_ - ros::Duration(0.1 * late));
       }
-      waitFor([] { return false; }, 0.05);
+      spinFor(0.05);
       next_stamp_ += ros::Duration(0.1);
     }
   }
@@ -153,6 +155,16 @@ class FieldClient {
   ros::NodeHandle& nodeHandle() { return nh_; }
 
  private:
+  bool spinUntil(const std::function<bool()>& condition, double seconds) {
+    const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(seconds);
+    while (ros::ok() && ros::WallTime::now() < end) {
+      ros::spinOnce();
+      if (condition()) return true;
+      ros::WallDuration(0.02).sleep();
+    }
+    return false;
+  }
+
   void notePlants(const PlantPhenotypeArrayConstPtr& message) {
     plants_of_[{message->block_x, message->block_y}] = fromMessage(*message);
   }
