@@ -14,7 +14,6 @@ namespace field_phenotyping {
 namespace {
 
 constexpr const char* kDrops = "scans dropped: queue full";
-constexpr double kOverload = 8.0;  // [s] that it lasts
 
 TEST(Overload, NewestWinDropsAreCountedAndItRecovers) {
   ros::param::set("/field_phenotyping/preprocessing/queue_size", 5);
@@ -37,19 +36,18 @@ TEST(Overload, NewestWinDropsAreCountedAndItRecovers) {
       testing::cloudOf(client.field(), Eigen::Isometry3d::Identity(), "map", ros::Time::now()));
   ASSERT_TRUE(client.waitFor([&] { return points.getNumSubscribers() > 0U; }, 10.0));
 
-  // Thirty million points a second.
-  const ros::WallTime end = ros::WallTime::now() + ros::WallDuration(kOverload);
+  // Ten at a time, some hundred million points a second, until something comes out all the same.
   ros::Time last;
-  while (ros::WallTime::now() < end) {
-    const auto scan = boost::make_shared<sensor_msgs::PointCloud2>(*field);
-    scan->header.stamp = last = ros::Time::now();
-    points.publish(boost::shared_ptr<const sensor_msgs::PointCloud2>(scan));
-    ros::spinOnce();
-    ros::WallDuration(0.005).sleep();
-  }
-  EXPECT_GT(client.valueOf("preprocessing", kDrops), 10.0) << "that was no overload";
-  EXPECT_GT(client.valueOf("preprocessing", "scans placed"), 10.0);
-  EXPECT_GT(reports, 0U) << "nothing came out while scans came";
+  const auto survives = [&] {
+    for (int k = 0; k < 10; ++k) {
+      const auto scan = boost::make_shared<sensor_msgs::PointCloud2>(*field);
+      scan->header.stamp = last = ros::Time::now();
+      points.publish(boost::shared_ptr<const sensor_msgs::PointCloud2>(scan));
+    }
+    return reports > 0U && client.valueOf("preprocessing", kDrops) > 10.0;
+  };
+  EXPECT_TRUE(client.waitFor(survives, 60.0)) << "no drops, or nothing came out while scans came";
+  EXPECT_GT(client.valueOf("preprocessing", "scans placed"), 0.0);
   EXPECT_TRUE(client.heardOf("preprocessing", "scans arrive faster than they are worked"));
 
   // What was seen last is worked soon, not after a backlog.
