@@ -1,6 +1,7 @@
 #include "field_phenotyping/common/neighbor_grid.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 #include <stdexcept>
 
@@ -11,32 +12,57 @@ constexpr int kMaxCellsPerAxis = 1 << 21;
 
 }  // namespace
 
-NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cell)
-    : cell_(cell), inverse_cell_(1.0F / cell) {
+GridGeometry gridGeometry(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float cell,
+                          std::size_t points) {
   if (!(cell > 0.0F)) throw std::invalid_argument("NeighborGrid: the cell size must be positive");
-  if (points.empty()) return;
-
-  Eigen::Array3f low = points.front().array();
-  Eigen::Array3f high = low;
-  for (const Eigen::Vector3f& point : points) {
-    low = low.min(point.array());
-    high = high.max(point.array());
-  }
-  if (!((high - low) / cell_ < static_cast<float>(kMaxCellsPerAxis)).all()) {
+  if (!((high - low).array() / cell < static_cast<float>(kMaxCellsPerAxis)).all()) {
     throw std::invalid_argument("NeighborGrid: extent over 2^21 cells, or a point is not finite");
   }
-  corner_ = low;
-  last_ = ((high - low) / cell_).floor();
+  GridGeometry geometry;
+  geometry.cell = cell;
+  geometry.inverse_cell = 1.0F / cell;
+  for (int axis = 0; axis < 3; ++axis) {
+    geometry.corner[axis] = low[axis];
+    geometry.last[axis] = std::floor((high[axis] - low[axis]) / cell);
+  }
   constexpr float kRounding = 1e-6F;  // of the coordinates: several units in the last place
-  slack_ = kRounding * ((high - low).maxCoeff() + low.abs().max(high.abs()).maxCoeff());
-  rows_y_ = static_cast<std::size_t>(last_.y()) + 1U;
+  geometry.slack =
+      kRounding * ((high - low).maxCoeff() + low.cwiseAbs().cwiseMax(high.cwiseAbs()).maxCoeff());
+  geometry.rows_y = static_cast<std::uint64_t>(geometry.last[1]) + 1U;
+
+  const std::uint64_t rows = geometry.rows_y * (static_cast<std::uint64_t>(geometry.last[2]) + 1U);
+  constexpr std::uint64_t kBucketsPerPoint = 8U;
+  const std::uint64_t most_buckets = kBucketsPerPoint * points + 4096U;
+  geometry.has_table = rows <= most_buckets;
+  if (!geometry.has_table) return geometry;
+  const auto buckets = [&] {
+    return (static_cast<std::uint64_t>(geometry.last[0]) >> geometry.bucket_shift) + 1U;
+  };
+  while (rows * buckets() > most_buckets) ++geometry.bucket_shift;
+  geometry.buckets_x = buckets();
+  geometry.buckets = rows * geometry.buckets_x;
+  return geometry;
+}
+
+NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cell) {
+  if (points.empty()) {
+    geometry_ = gridGeometry(Eigen::Vector3f::Zero(), Eigen::Vector3f::Zero(), cell, 0U);
+    return;
+  }
+  Eigen::Vector3f low = points.front();
+  Eigen::Vector3f high = low;
+  for (const Eigen::Vector3f& point : points) {
+    low = low.cwiseMin(point);
+    high = high.cwiseMax(point);
+  }
+  geometry_ = gridGeometry(low, high, cell, points.size());
 
   std::vector<std::uint64_t> row_of(points.size());
   std::vector<int> cell_x(points.size());
   for (std::size_t i = 0; i < points.size(); ++i) {
-    const std::array<int, 3> cell = cellsOf(points[i]);
-    cell_x[i] = cell[0];
-    row_of[i] = static_cast<std::uint64_t>(cell[2]) * rows_y_ + static_cast<std::uint64_t>(cell[1]);
+    cell_x[i] = geometry_.cellOf(points[i].x(), 0);
+    row_of[i] =
+        geometry_.rowOf(geometry_.cellOf(points[i].y(), 1), geometry_.cellOf(points[i].z(), 2));
   }
 
   // By row, then by cell; ties by source index, so that the order depends on the points alone.
@@ -45,24 +71,14 @@ NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cel
     return cell_x[a] != cell_x[b] ? cell_x[a] < cell_x[b] : a < b;
   };
   order_.resize(points.size());
-  const std::size_t rows = rows_y_ * (static_cast<std::size_t>(last_.z()) + 1U);
-  constexpr std::size_t kBucketsPerPoint = 8U;
-  const std::size_t most_buckets = kBucketsPerPoint * points.size() + 4096U;
-  if (rows <= most_buckets) {
-    const auto buckets = [&] {
-      return (static_cast<std::size_t>(last_.x()) >> bucket_shift_) + 1U;
-    };
-    while (rows * buckets() > most_buckets) ++bucket_shift_;
-    buckets_x_ = buckets();
-    const auto bucketOf = [&](std::uint32_t i) {
-      return row_of[i] * buckets_x_ + (static_cast<std::size_t>(cell_x[i]) >> bucket_shift_);
-    };
-    begin_.assign(rows * buckets_x_ + 1U, 0U);
+  if (geometry_.has_table) {
+    const auto bucketOf = [&](std::uint32_t i) { return geometry_.bucketOf(cell_x[i], row_of[i]); };
+    begin_.assign(geometry_.buckets + 1U, 0U);
     for (std::uint32_t i = 0; i < points.size(); ++i) ++begin_[bucketOf(i) + 1U];
     std::partial_sum(begin_.begin(), begin_.end(), begin_.begin());
     std::vector<std::uint32_t> next(begin_.begin(), begin_.end() - 1);
     for (std::uint32_t i = 0; i < points.size(); ++i) order_[next[bucketOf(i)]++] = i;
-    if (bucket_shift_ > 0U) {
+    if (geometry_.bucket_shift > 0U) {
       for (std::size_t bucket = 0; bucket + 1U < begin_.size(); ++bucket) {
         if (begin_[bucket + 1U] - begin_[bucket] < 2U) continue;
         std::sort(order_.begin() + begin_[bucket], order_.begin() + begin_[bucket + 1U], before);
@@ -83,16 +99,6 @@ NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cel
     y_[k] = point.y();
     z_[k] = point.z();
   }
-}
-
-NeighborGrid::Run NeighborGrid::searchRun(int low_x, int high_x, std::size_t row) const {
-  const auto range = std::equal_range(rows_.begin(), rows_.end(), row);
-  const auto first = cell_x_.begin() + (range.first - rows_.begin());
-  const auto last = cell_x_.begin() + (range.second - rows_.begin());
-  const auto begin = std::lower_bound(first, last, low_x);
-  const auto end = std::upper_bound(begin, last, high_x);
-  return {static_cast<std::uint32_t>(begin - cell_x_.begin()),
-          static_cast<std::uint32_t>(end - cell_x_.begin())};
 }
 
 }  // namespace field_phenotyping

@@ -1,67 +1,65 @@
 #include "field_phenotyping/segmentation/local_shape.hpp"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 
 #include "field_phenotyping/common/parallel.hpp"
-#include "field_phenotyping/segmentation/neighborhood.hpp"
+#include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/segmentation/local_shape_team.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-constexpr std::uint32_t kMinNeighbors = 5U;
-
-LocalShape shapeOf(const Moments& moments) {
+LocalShape toLocalShape(const LocalShapeNumbers& numbers) {
   LocalShape shape;
-  shape.neighbors = static_cast<std::uint32_t>(moments.count);
-  if (shape.neighbors < kMinNeighbors) return shape;
-  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3f> solver;
-  solver.computeDirect(moments.covariance());
-  const Eigen::Vector3f values = solver.eigenvalues().cwiseMax(0.0F);
-  if (!(values[2] > 0.0F)) return shape;
-  shape.direction = solver.eigenvectors().col(2);
-  if (shape.direction.z() < 0.0F) shape.direction = -shape.direction;
-  shape.normal = solver.eigenvectors().col(0);
-  shape.linearity = (values[2] - values[1]) / values[2];
-  shape.curvature = values[0] / values.sum();
+  shape.direction = {numbers.direction.x, numbers.direction.y, numbers.direction.z};
+  shape.normal = {numbers.normal.x, numbers.normal.y, numbers.normal.z};
+  shape.linearity = numbers.linearity;
+  shape.curvature = numbers.curvature;
+  shape.neighbors = numbers.neighbors;
   return shape;
 }
+
+/// Candidates for as many points as a cell has about it.
+class GrowingTile {
+ public:
+  CandidateTile of(std::uint32_t candidates) {
+    const auto capacity = static_cast<std::uint32_t>((candidates / kLanes + 1U) * kLanes);
+    if (capacity + kLanes > x_.size()) {
+      for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(2U * capacity + kLanes);
+    }
+    return {x_.data(), y_.data(), z_.data(), capacity};
+  }
+
+ private:
+  std::vector<float> x_;
+  std::vector<float> y_;
+  std::vector<float> z_;
+};
 
 }  // namespace
 
 LocalShape computeLocalShape(const Eigen::Vector3f& point, const NeighborGrid& grid, float radius) {
   Moments moments;
   grid.forEachOffsetWithin(point, radius, [&](std::uint32_t, const Eigen::Vector3f& offset, float) {
-    moments.add(offset);
+    moments.add(NeighborGrid::placeOf(offset));
   });
-  return shapeOf(moments);
+  return toLocalShape(localShapeOf(moments));
 }
 
 std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& points,
                                            const NeighborGrid& grid, float radius) {
   std::vector<LocalShape> shapes(points.size());
-  constexpr std::size_t kChunk = 1024U;
+  const GridView view = grid.view();
+  constexpr std::uint32_t kChunk = 1024U;
   parallelFor((points.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
-    // Cell by cell, since the points of one have their candidates in common.
-    Neighborhood candidates;
-    const std::size_t begin = chunk * kChunk;
-    const std::size_t end = std::min(points.size(), begin + kChunk);
-    for (std::size_t k = begin; k < end;) {
-      Eigen::Vector3f low = points[grid.sorted(k)];
-      Eigen::Vector3f high = low;
-      std::size_t next = k + 1U;
-      for (; next < end && grid.inOneCell(k, next); ++next) {
-        low = low.cwiseMin(points[grid.sorted(next)]);
-        high = high.cwiseMax(points[grid.sorted(next)]);
-      }
-      candidates.clear();
-      grid.forEachRunNearBox(low, high, radius,
-                             [&](const NeighborGrid::Coordinates& run) { candidates.add(run); });
-      for (; k < next; ++k) {
-        const std::uint32_t i = grid.sorted(k);
-        shapes[i] = shapeOf(candidates.momentsAbout(points[i], radius));
-      }
-    }
+    GrowingTile tile;
+    const auto begin = static_cast<std::uint32_t>(chunk) * kChunk;
+    localShapesOfChunk(
+        SerialTeam(), view, begin, std::min(view.size, begin + kChunk), radius,
+        [&](std::uint32_t candidates) { return tile.of(candidates); },
+        [&](std::uint32_t k, const LocalShapeNumbers& shape) {
+          shapes[view.order[k]] = toLocalShape(shape);
+        });
   });
   return shapes;
 }

@@ -1,6 +1,5 @@
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 
-#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
@@ -197,17 +196,17 @@ Ribbon fitRibbon(const Neighborhood& piece, const Eigen::Vector3f& place, float 
   Ribbon ribbon;
   constexpr float kLeastCells = 4.0F;
   if (moments.count < kLeastCells) return ribbon;
-  Eigen::SelfAdjointEigenSolver<Eigen::Matrix3f> solver;
-  solver.computeDirect(moments.covariance());
-  const Eigen::Vector3f values = solver.eigenvalues().cwiseMax(0.0F);
-  if (!(values[2] > 0.0F)) return ribbon;
+  const PrincipalAxes axes = principalAxes(moments.covariance());
+  if (!(axes.values[2] > 0.0F)) return ribbon;
+  const auto vector = [](const Place& p) { return Eigen::Vector3f(p.x, p.y, p.z); };
+  const float width = std::max(axes.values[1], 0.0F);
   ribbon.known = true;
-  ribbon.mean = place + moments.mean();
-  ribbon.direction = solver.eigenvectors().col(2);
+  ribbon.mean = place + vector(moments.mean());
+  ribbon.direction = vector(axes.axes[2]);
   if (ribbon.direction.z() < 0.0F) ribbon.direction = -ribbon.direction;
-  ribbon.normal = solver.eigenvectors().col(0);
-  ribbon.linearity = (values[2] - values[1]) / values[2];
-  ribbon.spread = std::sqrt(values[1]);
+  ribbon.normal = vector(axes.axes[0]);
+  ribbon.linearity = (axes.values[2] - width) / axes.values[2];
+  ribbon.spread = std::sqrt(width);
   return ribbon;
 }
 

@@ -8,11 +8,12 @@
 #include <xmmintrin.h>
 #endif
 
+#include "field_phenotyping/common/team.hpp"
+
 // Four values at once, in the vectors that every 64-bit processor has.
 
 namespace field_phenotyping {
 
-constexpr std::size_t kLanes = 4U;
 using Floats = float __attribute__((vector_size(kLanes * sizeof(float))));
 using Integers = std::int32_t __attribute__((vector_size(kLanes * sizeof(std::int32_t))));
 

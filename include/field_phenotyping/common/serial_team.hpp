@@ -1,0 +1,43 @@
+#pragma once
+
+#include "field_phenotyping/common/lanes.hpp"
+#include "field_phenotyping/common/team.hpp"
+
+namespace field_phenotyping {
+
+/// The lanes of a vector register (see team.hpp).
+struct VectorLanes {
+  using Float = Floats;
+  using Mask = Integers;
+
+  static Float all(float value) { return allOf(value); }
+  static Float load(const float* values, std::size_t i, std::size_t /*count*/) {
+    return loadFloats(values + i);
+  }
+  static Mask before(std::size_t i, std::size_t count) {
+    return i + kLanes <= count ? allOf(-1) : lanesBefore(count - i);
+  }
+  static Mask atMost(const Float& a, const Float& b) { return a <= b; }
+  static Mask both(const Mask& a, const Mask& b) { return a & b; }
+  static Float where(const Mask& mask, const Float& value) { return mask ? value : Float{}; }
+  static float total(const Float& value) { return field_phenotyping::total(value); }
+  static unsigned count(const Mask& mask) {
+    constexpr unsigned char kBits[1U << kLanes] = {0U, 1U, 1U, 2U, 1U, 2U, 2U, 3U,
+                                                   1U, 2U, 2U, 3U, 2U, 3U, 3U, 4U};
+    return kBits[bitsOf(mask)];
+  }
+  static bool any(const Mask& mask) { return anyOf(mask); }
+  static bool first() { return true; }
+};
+
+/// The team of one thread that the CPU works with (see team.hpp).
+struct SerialTeam {
+  static unsigned rank() { return 0U; }
+  static unsigned size() { return 1U; }
+  static void sync() {}
+  static unsigned group() { return 0U; }
+  static unsigned groups() { return 1U; }
+  static VectorLanes lanes() { return {}; }
+};
+
+}  // namespace field_phenotyping

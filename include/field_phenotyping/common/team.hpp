@@ -1,0 +1,70 @@
+#pragma once
+
+#include <cstddef>
+
+/// Marks what runs on the CPU and, where it is compiled by nvcc, on the GPU. Such code uses neither
+/// Eigen nor the standard library, and of arithmetic only + - * / and the square root, which give
+/// the same bits on both.
+#ifdef __CUDACC__
+#define FIELD_PHENOTYPING_HD __host__ __device__
+#else
+#define FIELD_PHENOTYPING_HD
+#endif
+
+namespace field_phenotyping {
+
+/// Values that a lane group works on at once.
+constexpr std::size_t kLanes = 4U;
+
+// Work that is to run on the CPU and on the GPU is written once, for a team: a template over a type
+// with
+//
+//   unsigned rank() const, size() const   of this member; members of the team
+//   void sync() const                     every member waits here for all others; what they wrote
+//                                         before it may be read after it
+//   unsigned group() const, groups() const   of this member; groups of the team
+//   Lanes lanes() const                   those of its group
+//
+// A team is divided into groups of kLanes lanes, which work on kLanes consecutive values at once.
+// On the CPU a team has one member, whose lanes are those of a vector register (SerialTeam). On the
+// GPU it is a thread block, whose lanes are neighbouring threads (CudaTeam); tests have teams of
+// CPU threads (EmulatedTeam). All members of a group must come to every call of its lanes' total()
+// and count(), all members of the team to every sync(). Lanes have
+//
+//   Float, Mask                           a value and a truth, of the lanes that this member stands
+//                                         for
+//   Float all(float) const                the same value in every lane
+//   Float load(const float* values, std::size_t i, std::size_t count) const
+//                                         values[i] ... values[i + kLanes - 1]; anything in lanes
+//                                         at `count` or beyond, but kLanes values beyond it can be
+//                                         read
+//   Mask before(std::size_t i, std::size_t count) const   the lanes of values[i] ... below `count`
+//   Mask atMost(Float a, Float b) const, both(Mask a, Mask b) const
+//   Float where(Mask, Float) const        the value where it is true, else 0
+//   float total(Float) const              sum over the lanes, in one fixed order
+//   unsigned count(Mask) const            lanes in which it is true
+//   bool any(Mask) const                  whether it is true in a lane that this member stands for
+//   bool first() const                    whether this member is its group's first
+
+/// What is the same in all lanes that are threads of their own.
+struct ThreadLanes {
+  using Float = float;
+  using Mask = bool;
+
+  unsigned lane;  ///< of this thread, in its group
+
+  FIELD_PHENOTYPING_HD static float all(float value) { return value; }
+  FIELD_PHENOTYPING_HD float load(const float* values, std::size_t i, std::size_t count) const {
+    return i + lane < count ? values[i + lane] : 0.0F;
+  }
+  FIELD_PHENOTYPING_HD bool before(std::size_t i, std::size_t count) const {
+    return i + lane < count;
+  }
+  FIELD_PHENOTYPING_HD static bool atMost(float a, float b) { return a <= b; }
+  FIELD_PHENOTYPING_HD static bool both(bool a, bool b) { return a && b; }
+  FIELD_PHENOTYPING_HD static float where(bool mask, float value) { return mask ? value : 0.0F; }
+  FIELD_PHENOTYPING_HD static bool any(bool mask) { return mask; }
+  FIELD_PHENOTYPING_HD bool first() const { return lane == 0U; }
+};
+
+}  // namespace field_phenotyping
