@@ -1,15 +1,27 @@
 # The algorithms: no ROS, no PCL. Needs a compiler and Eigen; TBB when there.
 file(GLOB core_sources CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/src/*.cpp
   ${PROJECT_SOURCE_DIR}/src/*/*.cpp)
-add_library(field_phenotyping_core ${core_sources})
-target_include_directories(field_phenotyping_core PUBLIC
-  $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/include>
-  $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
+if(FIELD_PHENOTYPING_HAS_CUDA)
+  file(GLOB cuda_sources CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/src/*/*.cu)
+endif()
+add_library(field_phenotyping_core ${core_sources} ${cuda_sources})
+target_include_directories(field_phenotyping_core
+  PUBLIC
+    $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/include>
+    $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>
+  PRIVATE ${PROJECT_SOURCE_DIR}/src)
 target_link_libraries(field_phenotyping_core
   PUBLIC Eigen3::Eigen
   PRIVATE $<BUILD_INTERFACE:field_phenotyping_warnings>)
 # Square roots and roundings inline: nobody asks for errno or floating-point exceptions.
-target_compile_options(field_phenotyping_core PRIVATE -fno-math-errno -fno-trapping-math)
+# Nor does an addition take part in a multiplication unasked: results are the GPU's bit for bit.
+target_compile_options(field_phenotyping_core PRIVATE
+  $<$<COMPILE_LANGUAGE:CXX>:-fno-math-errno;-fno-trapping-math;-ffp-contract=off>)
+if(FIELD_PHENOTYPING_HAS_CUDA)
+  target_compile_definitions(field_phenotyping_core PRIVATE FIELD_PHENOTYPING_WITH_CUDA)
+  target_compile_options(field_phenotyping_core PRIVATE
+    "$<$<COMPILE_LANGUAGE:CUDA>:${cuda_flags}>")
+endif()
 if(TARGET TBB::tbb)
   target_link_libraries(field_phenotyping_core PRIVATE TBB::tbb)
   target_compile_definitions(field_phenotyping_core PRIVATE FIELD_PHENOTYPING_WITH_TBB)

@@ -47,14 +47,27 @@ void checkFixedParameters(const ros::NodeHandle& pnh, StageHealth& health) {
     }
     if (!text.str().empty()) health.trouble(name, text.str());
   }
-  const std::string device = pnh.param<std::string>("device", "auto");
-  if (device == "auto" || device == "cpu") return;
-  health.trouble("device", device == "cuda"
-                               ? "device 'cuda' was asked for, but this build has no GPU code: "
-                                 "working on the CPU"
-                               : "device '" + device +
-                                     "' is none of auto, cpu, cuda: working on "
-                                     "the CPU");
+}
+
+ComputeDevice chooseDevice(const ros::NodeHandle& pnh, StageHealth& health) {
+  try {
+    return ComputeDevice::choose(pnh.param<std::string>("device", "auto"));
+  } catch (const std::exception& error) {
+    health.trouble("device", std::string(error.what()) + ". Working on the CPU");
+    return {};
+  }
+}
+
+void showDeviceUse(const ComputeDevice& device, StageHealth& health) {
+  if (!device.hasGpu()) return;
+  const DeviceUse use = device.use();
+  health.show("steps on the GPU", static_cast<double>(use.gpu_steps));
+  const std::string failed = "steps done by the CPU because the GPU failed";
+  const std::uint64_t before = health.counted(failed);
+  if (use.fallbacks <= before) return;
+  health.count(failed, use.fallbacks - before);
+  health.trouble("gpu", "the GPU failed, the CPU does what it did not: " + use.last_failure +
+                            ". What else runs on it? nvidia-smi says so");
 }
 
 OverloadLimits overloadLimitsOf(const ros::NodeHandle& pnh) {

@@ -13,6 +13,7 @@
 
 #include "block_serialization.hpp"
 #include "block_worker.hpp"
+#include "field_phenotyping/common/compute_device.hpp"
 #include "parameter_server.hpp"
 #include "stage_health.hpp"
 
@@ -28,9 +29,14 @@ const std::set<std::string>& commonParameterNames();
 /// `overload_after` [s] and `most_points_waiting`.
 OverloadLimits overloadLimitsOf(const ros::NodeHandle& pnh);
 
-/// Says so when what a stage reads once at its start is no number or out of range, or when a device
-/// was asked for that this build does not have.
+/// Says so when what a stage reads once at its start is no number or out of range.
 void checkFixedParameters(const ros::NodeHandle& pnh, StageHealth& health);
+
+/// The device that `~device` asks for; the CPU where it cannot be had, which is said.
+ComputeDevice chooseDevice(const ros::NodeHandle& pnh, StageHealth& health);
+
+/// Shows what a stage's device has done, and says so when the GPU has failed.
+void showDeviceUse(const ComputeDevice& device, StageHealth& health);
 
 /// Holds work back until somebody listens, so that what arrives while the other nodelets are still
 /// being loaded is not handed on into the void; after `~wait_for_subscriber` [s, default 10] work
@@ -60,6 +66,7 @@ class BlockStage {
   BlockStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
       : pnh_(std::move(pnh)),
         health_(nh, pnh_, name, "block"),
+        device_(chooseDevice(pnh_, health_)),
         parameters_(pnh_, health_, commonParameterNames(), [this] { parameters_changed_ = true; }),
         output_(pnh_.advertise<Output>("output", kChainQueue)),
         gate_(pnh_, output_) {
@@ -95,6 +102,7 @@ class BlockStage {
 
   ros::NodeHandle& privateHandle() { return pnh_; }
   StageHealth& health() { return health_; }
+  const ComputeDevice& device() const { return device_; }
 
  private:
   using Task = typename BlockWorker<Input>::Task;
@@ -147,6 +155,7 @@ class BlockStage {
 
   ros::NodeHandle pnh_;
   StageHealth health_;
+  const ComputeDevice device_;
   std::atomic<bool> parameters_changed_{false};
   ParameterServer<Config, Section> parameters_;
   ros::Publisher output_;

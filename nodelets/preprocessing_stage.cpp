@@ -63,6 +63,7 @@ PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
       tf_listener_(tf_buffer_, nh),
       output_(pnh_.advertise<Block>("output", kChainQueue)),
       gate_(pnh_, output_),
+      device_(chooseDevice(pnh_, health_)),
       preprocessor_(parameters_.current(), target_frame_),
       done_(historyOf(pnh_)),
       ground_(pnh_, "ground", addGround),
@@ -424,7 +425,8 @@ void PreprocessingStage::makeBlock(BlockMaker::Task& task) {
     const ros::WallTime begin = ros::WallTime::now();
     const ros::WallTime due = ros::WallTime().fromNSec(task.points.header.due_ns);
     const boost::shared_ptr<const Block> block =
-        boost::make_shared<Block>(finishBlock(std::move(task.points), task.parameters));
+        boost::make_shared<Block>(finishBlock(std::move(task.points), task.parameters, device_));
+    showDeviceUse(device_, health_);
     output_.publish(block);
     done_.add(block);
     ground_.changed();

@@ -92,6 +92,8 @@ class PreprocessingStage {
   ros::Publisher output_;
   ListenerGate gate_;
 
+  const ComputeDevice device_;
+
   // Of the worker thread alone.
   Preprocessor preprocessor_;
   bool registered_ = false;  // the last scan needed no transform

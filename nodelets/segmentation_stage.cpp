@@ -37,7 +37,9 @@ SegmentationStage::~SegmentationStage() {
 
 boost::shared_ptr<const SegmentedBlock> SegmentationStage::work(
     const Block& block, const SegmentationParameters& parameters) {
-  const auto segmented = boost::make_shared<SegmentedBlock>(segmentBlock(block, parameters));
+  const auto segmented =
+      boost::make_shared<SegmentedBlock>(segmentBlock(block, parameters, stage_.device()));
+  showDeviceUse(stage_.device(), stage_.health());
   const PlantRegistry::Outcome outcome = registry_.identify(*segmented);
   stage_.health().show("map shift since the last pass [m]", outcome.shift.norm());
   noteOutcome(block, *segmented, parameters);

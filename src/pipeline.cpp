@@ -140,7 +140,7 @@ Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& paramet
 }  // namespace
 
 PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& parameters,
-                              const ProgressCallback& progress) {
+                              const ProgressCallback& progress, const ComputeDevice& device) {
   const std::string errors = checkParameters(parameters);
   if (!errors.empty()) throw std::invalid_argument(errors);
 
@@ -157,6 +157,8 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   preprocessor.addScan(scan, Eigen::Isometry3d::Identity());
   const std::vector<BlockIndex> due = preprocessor.dueBlocks(true);
   constexpr std::size_t kStages = 4U;
+  const ComputeDevice preprocessing_device = device.withOwnCounts();
+  const ComputeDevice segmentation_device = device.withOwnCounts();
   Bookkeeper bookkeeper(1U + kStages * due.size(), progress);
   bookkeeper.add(0U, secondsSince(start), 0U);
 
@@ -165,11 +167,12 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   std::vector<std::uint8_t> has_soil(due.size(), 0U);
   parallelFor(due.size(), [&](std::size_t b) {
     Clock::time_point stage_start = Clock::now();
-    const Block block = preprocessor.makeBlock(due[b], true);
+    const Block block = preprocessor.makeBlock(due[b], true, preprocessing_device);
     has_soil[b] = block.ground.observed() ? 1U : 0U;
     bookkeeper.add(0U, secondsSince(stage_start), block.cloud.size() + block.ground_points);
     stage_start = Clock::now();
-    segmented[b] = std::make_shared<SegmentedBlock>(segmentBlock(block, parameters.segmentation));
+    segmented[b] = std::make_shared<SegmentedBlock>(
+        segmentBlock(block, parameters.segmentation, segmentation_device));
     bookkeeper.add(1U, secondsSince(stage_start), block.cloud.size());
   });
   // Ids in the blocks' order, so that they do not depend on which block was ready first.
@@ -209,6 +212,10 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
     }
   });
   result.times = bookkeeper.times();
+  for (StageTime& time : result.times)
+    time.use.why_cpu = "no step of this stage is written for a GPU";
+  result.times[0].use = preprocessing_device.use();
+  result.times[1].use = segmentation_device.use();
   return result;
 }
 

@@ -31,7 +31,15 @@ struct Options {
 void writeTiming(const std::string& path, const PipelineResult& result) {
   nlohmann::ordered_json timing;
   for (const StageTime& time : result.times) {
-    timing[time.stage] = {{"seconds", time.seconds}, {"points", time.points}};
+    auto& entry = timing[time.stage];
+    entry = {{"seconds", time.seconds}, {"points", time.points}, {"device", time.use.device}};
+    if (!time.use.why_cpu.empty()) {
+      entry["why_cpu"] = time.use.why_cpu;
+      continue;
+    }
+    entry["gpu_steps"] = time.use.gpu_steps;
+    entry["cpu_fallbacks"] = time.use.fallbacks;
+    if (time.use.fallbacks > 0U) entry["gpu_failure"] = time.use.last_failure;
   }
   std::ofstream file(path);
   file << timing.dump(2) << "\n";
@@ -71,9 +79,7 @@ void run(const Options& options) {
   Parameters parameters;
   if (!options.config.empty()) readConfigFile(options.config, parameters);
   setParameters(options.assignments, parameters);
-  if (options.device == "cuda") {
-    std::fprintf(stderr, "phenotype_cloud: this build has no CUDA code; working on the CPU\n");
-  }
+  const ComputeDevice device = ComputeDevice::choose(options.device);
   const ThreadLimit limit(options.threads);
 
   std::error_code failure;
@@ -86,7 +92,8 @@ void run(const Options& options) {
   progress.update("reading", 0.0);
   const CloudFile input = readCloudFile(options.input);
   const PipelineResult result = phenotypeCloud(
-      input.cloud, parameters, [&](double share) { progress.update("measuring plants", share); });
+      input.cloud, parameters, [&](double share) { progress.update("measuring plants", share); },
+      device);
 
   progress.update("writing", 0.0);
   writePhenotypeCsv(options.output + "/plants.csv", result.plants);
@@ -101,6 +108,13 @@ void run(const Options& options) {
 
   std::printf("%zu plants in %zu points (%zu of them on plants) -> %s\n", result.plants.size(),
               input.cloud.size(), countLabelled(result), options.output.c_str());
+  for (const StageTime& time : result.times) {
+    if (time.use.fallbacks == 0U) continue;
+    std::fprintf(
+        stderr,
+        "phenotype_cloud: warning: %s: the GPU failed in %zu steps, which the CPU did: %s\n",
+        time.stage.c_str(), time.use.fallbacks, time.use.last_failure.c_str());
+  }
   if (result.blocks_without_soil > 0U) {
     std::printf(
         "no soil seen in %zu of %zu blocks: heights there are from the lowest plant points\n",
@@ -129,7 +143,8 @@ int main(int argc, char** argv) {
       ->required();
   app.add_option("-c,--config", options.config, "YAML file of stage: {parameter: value}");
   app.add_option("--set", options.assignments, "Set one parameter: stage/parameter=value");
-  app.add_option("--device", options.device, "Where to compute: auto, cpu or cuda")
+  app.add_option("--device", options.device,
+                 "Where to compute: cpu; cuda; auto: on a GPU if there is one")
       ->check(CLI::IsMember({"auto", "cpu", "cuda"}))
       ->capture_default_str();
   app.add_option("--threads", options.threads, "Threads to use; 0: all cores")

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
 #include "field_phenotyping/parameters.hpp"
@@ -21,11 +22,12 @@ struct PointLabel {
   Part part = Part::kNone;
 };
 
-/// Wall time of one stage, summed over the blocks.
+/// Wall time of one stage, summed over the blocks, and what it was computed on.
 struct StageTime {
   std::string stage;
   double seconds = 0.0;
   std::size_t points = 0U;
+  DeviceUse use = {};
 };
 
 /// Everything that is known about one cloud after the pipeline has run over it.
@@ -41,9 +43,10 @@ struct PipelineResult {
 using ProgressCallback = std::function<void(double)>;
 
 /// Runs the four stages over one accumulated cloud: the same steps that the nodelets take.
-/// Blocks are worked in parallel. Deterministic whatever the thread count.
+/// Blocks are worked in parallel. Deterministic whatever the thread count and the device.
 /// @throws std::invalid_argument when a parameter is out of range
 PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& parameters,
-                              const ProgressCallback& progress = {});
+                              const ProgressCallback& progress = {},
+                              const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping

@@ -12,9 +12,14 @@ constexpr int kMaxCellsPerAxis = 1 << 21;
 
 }  // namespace
 
-GridGeometry gridGeometry(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float cell,
-                          std::size_t points) {
+GridGeometry gridGeometry(const std::vector<Eigen::Vector3f>& points, float cell) {
   if (!(cell > 0.0F)) throw std::invalid_argument("NeighborGrid: the cell size must be positive");
+  Eigen::Vector3f low = points.empty() ? Eigen::Vector3f::Zero().eval() : points.front();
+  Eigen::Vector3f high = low;
+  for (const Eigen::Vector3f& point : points) {
+    low = low.cwiseMin(point);
+    high = high.cwiseMax(point);
+  }
   if (!((high - low).array() / cell < static_cast<float>(kMaxCellsPerAxis)).all()) {
     throw std::invalid_argument("NeighborGrid: extent over 2^21 cells, or a point is not finite");
   }
@@ -32,7 +37,7 @@ GridGeometry gridGeometry(const Eigen::Vector3f& low, const Eigen::Vector3f& hig
 
   const std::uint64_t rows = geometry.rows_y * (static_cast<std::uint64_t>(geometry.last[2]) + 1U);
   constexpr std::uint64_t kBucketsPerPoint = 8U;
-  const std::uint64_t most_buckets = kBucketsPerPoint * points + 4096U;
+  const std::uint64_t most_buckets = kBucketsPerPoint * points.size() + 4096U;
   geometry.has_table = rows <= most_buckets;
   if (!geometry.has_table) return geometry;
   const auto buckets = [&] {
@@ -44,19 +49,9 @@ GridGeometry gridGeometry(const Eigen::Vector3f& low, const Eigen::Vector3f& hig
   return geometry;
 }
 
-NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cell) {
-  if (points.empty()) {
-    geometry_ = gridGeometry(Eigen::Vector3f::Zero(), Eigen::Vector3f::Zero(), cell, 0U);
-    return;
-  }
-  Eigen::Vector3f low = points.front();
-  Eigen::Vector3f high = low;
-  for (const Eigen::Vector3f& point : points) {
-    low = low.cwiseMin(point);
-    high = high.cwiseMax(point);
-  }
-  geometry_ = gridGeometry(low, high, cell, points.size());
-
+NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cell)
+    : geometry_(gridGeometry(points, cell)) {
+  if (points.empty()) return;
   std::vector<std::uint64_t> row_of(points.size());
   std::vector<int> cell_x(points.size());
   for (std::size_t i = 0; i < points.size(); ++i) {

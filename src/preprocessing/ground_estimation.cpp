@@ -2,13 +2,18 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <random>
 #include <set>
 #include <utility>
 
+#include "common/gpu_streams.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/preprocessing/soil_plane_team.hpp"
+#include "preprocessing/soil_plane_gpu.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -18,15 +23,11 @@ constexpr float kMinRoughness = 0.002F;  // [m] soil is never smoother than a se
 constexpr float kRidgeHeight = 0.15F;    // [m] the local soil stays this near to the block's plane
 constexpr int kMinNodePoints = 6;
 
-/// z = a x + b y + c, local frame.
-struct Plane {
-  float a = 0.0F;
-  float b = 0.0F;
-  float c = 0.0F;
+using Plane = SoilPlane;
 
-  float heightAt(float x, float y) const { return a * x + b * y + c; }
-  float residual(const Eigen::Vector3f& p) const { return p.z() - heightAt(p.x(), p.y()); }
-};
+float residualOf(const Plane& plane, const Eigen::Vector3f& p) {
+  return p.z() - plane.heightAt(p.x(), p.y());
+}
 
 struct Extent {
   Eigen::Vector2f low;
@@ -64,20 +65,33 @@ std::vector<Eigen::Vector3f> lowestPoints(const PointCloud& cloud, const Extent&
   return candidates;
 }
 
-/// RANSAC score: soil is a plane that many cells' lowest points lie on and few lie below.
-int scorePlane(const Plane& plane, const std::vector<Eigen::Vector3f>& candidates,
-               float tolerance) {
-  constexpr int kBelowPenalty = 3;
-  int score = 0;
-  for (const Eigen::Vector3f& p : candidates) {
-    const float residual = plane.residual(p);
-    if (std::abs(residual) <= tolerance) {
-      ++score;
-    } else if (residual < -tolerance) {
-      score -= kBelowPenalty;
-    }
+/// Scores of planes, on the GPU if there is one, else on the CPU by the same routine.
+std::vector<int> scorePlanes(const std::vector<Plane>& planes,
+                             const std::vector<Eigen::Vector3f>& candidates, float tolerance,
+                             const ComputeDevice& device) {
+  std::array<std::vector<float>, 3> coordinates;
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<float>& values = coordinates[static_cast<std::size_t>(axis)];
+    values.reserve(candidates.size() + kLanes);
+    for (const Eigen::Vector3f& p : candidates) values.push_back(p[axis]);
+    values.resize(candidates.size() + kLanes);
   }
-  return score;
+  const SoilCandidates points{coordinates[0].data(), coordinates[1].data(), coordinates[2].data(),
+                              static_cast<std::uint32_t>(candidates.size())};
+  std::vector<int> scores(planes.size());
+  if constexpr (kWithCuda) {
+    const bool done = device.attempt([&](GpuStream& stream) {
+      const int* found = planeScoresOnGpu(
+          stream, planes.data(), static_cast<std::uint32_t>(planes.size()), points, tolerance);
+      std::copy(found, found + planes.size(), scores.begin());
+    });
+    if (done) return scores;
+  }
+  int scratch = 0;
+  for (std::size_t k = 0; k < planes.size(); ++k) {
+    scores[k] = scorePlane(SerialTeam(), planes[k], points, tolerance, &scratch);
+  }
+  return scores;
 }
 
 /// Least squares over the points within `tolerance` of `plane`; `plane` itself when they are too
@@ -88,7 +102,7 @@ Plane refine(const Plane& plane, const std::vector<Eigen::Vector3f>& points, flo
   Eigen::Vector3d right = Eigen::Vector3d::Zero();
   int count = 0;
   for (const Eigen::Vector3f& p : points) {
-    if (std::abs(plane.residual(p)) > tolerance) continue;
+    if (std::abs(residualOf(plane, p)) > tolerance) continue;
     const Eigen::Vector3d row(p.x(), p.y(), 1.0);
     normal += row * row.transpose();
     right += row * static_cast<double>(p.z());
@@ -113,15 +127,14 @@ Plane lowestLevel(const std::vector<Eigen::Vector3f>& candidates) {
 }
 
 /// The block's soil plane by RANSAC with a gravity prior.
-Plane ransacPlane(const std::vector<Eigen::Vector3f>& candidates, float tolerance,
-                  float max_slope) {
-  Plane best = lowestLevel(candidates);
-  if (candidates.size() < 3U) return best;
+Plane ransacPlane(const std::vector<Eigen::Vector3f>& candidates, float tolerance, float max_slope,
+                  const ComputeDevice& device) {
+  std::vector<Plane> planes = {lowestLevel(candidates)};
+  if (candidates.size() < 3U) return planes.front();
 
   constexpr int kIterations = 300;
   constexpr unsigned kSeed = 1U;  // fixed: the same cloud always gives the same plane
   std::mt19937 random(kSeed);
-  int best_score = scorePlane(best, candidates, tolerance);
   for (int iteration = 0; iteration < kIterations; ++iteration) {
     Eigen::Matrix3f rows;
     Eigen::Vector3f heights;
@@ -136,13 +149,12 @@ Plane ransacPlane(const std::vector<Eigen::Vector3f>& candidates, float toleranc
     const Eigen::Vector3f solved = rows.inverse() * heights;
     const Plane plane{solved.x(), solved.y(), solved.z()};
     if (std::hypot(plane.a, plane.b) > max_slope) continue;
-    const int score = scorePlane(plane, candidates, tolerance);
-    if (score > best_score) {
-      best_score = score;
-      best = plane;
-    }
+    planes.push_back(plane);
   }
-  return refine(best, candidates, tolerance, max_slope);
+  const std::vector<int> scores = scorePlanes(planes, candidates, tolerance, device);
+  const auto best = std::max_element(scores.begin(), scores.end());  // the first of the best
+  return refine(planes[static_cast<std::size_t>(best - scores.begin())], candidates, tolerance,
+                max_slope);
 }
 
 /// Whether hardly any point lies below the plane: so it is with soil, not with a layer of leaves.
@@ -150,7 +162,7 @@ bool liesLowest(const Plane& plane, const PointCloud& cloud, float tolerance) {
   std::size_t near = 0U;
   std::size_t below = 0U;
   for (const Eigen::Vector3f& p : cloud.points) {
-    const float residual = plane.residual(p);
+    const float residual = residualOf(plane, p);
     if (std::abs(residual) <= tolerance) ++near;
     if (residual < -tolerance) ++below;
   }
@@ -163,7 +175,7 @@ bool isExtended(const Plane& plane, const std::vector<Eigen::Vector3f>& candidat
                 double min_coverage) {
   const auto on_plane = std::count_if(
       candidates.begin(), candidates.end(),
-      [&](const Eigen::Vector3f& p) { return std::abs(plane.residual(p)) <= tolerance; });
+      [&](const Eigen::Vector3f& p) { return std::abs(residualOf(plane, p)) <= tolerance; });
   constexpr std::ptrdiff_t kLeastCells = 25;
   return on_plane >= kLeastCells &&
          static_cast<double>(on_plane) >= min_coverage * static_cast<double>(candidates.size());
@@ -174,7 +186,7 @@ std::size_t countPatches(const std::vector<Eigen::Vector3f>& nearby, const Plane
                          float patch) {
   std::set<std::pair<int, int>> patches;
   for (const Eigen::Vector3f& p : nearby) {
-    if (std::abs(plane.residual(p)) > 0.025F) continue;
+    if (std::abs(residualOf(plane, p)) > 0.025F) continue;
     patches.emplace(static_cast<int>(std::floor(p.x() / patch)),
                     static_cast<int>(std::floor(p.y() / patch)));
   }
@@ -192,7 +204,7 @@ GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_pl
 
   // Leaves and weeds lie above the soil, so start from a low quantile and let the plane settle.
   std::vector<float> residuals;
-  for (const Eigen::Vector3f& p : nearby) residuals.push_back(block_plane.residual(p));
+  for (const Eigen::Vector3f& p : nearby) residuals.push_back(residualOf(block_plane, p));
   const auto low = residuals.begin() + static_cast<std::ptrdiff_t>(residuals.size() / 5U);
   std::nth_element(residuals.begin(), low, residuals.end());
   Plane plane = block_plane;
@@ -204,7 +216,7 @@ GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_pl
   double squares = 0.0;
   int count = 0;
   for (const Eigen::Vector3f& p : nearby) {
-    const double residual = plane.residual(p);
+    const double residual = residualOf(plane, p);
     if (std::abs(residual) > 0.025) continue;
     squares += residual * residual;
     ++count;
@@ -264,7 +276,8 @@ void fillUnseenNodes(std::vector<GroundModel::Node>& nodes, int columns, int row
 
 }  // namespace
 
-GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameters& parameters) {
+GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameters& parameters,
+                           const ComputeDevice& device) {
   if (cloud.empty()) return {};
   const auto max_slope = static_cast<float>(std::tan(parameters.ground_max_tilt * M_PI / 180.0));
   const auto tolerance = static_cast<float>(2.0 * parameters.ground_distance);
@@ -273,7 +286,7 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
 
   // 1. The block's plane through the lowest points.
   const std::vector<Eigen::Vector3f> candidates = lowestPoints(cloud, extent);
-  Plane block_plane = ransacPlane(candidates, tolerance, max_slope);
+  Plane block_plane = ransacPlane(candidates, tolerance, max_slope, device);
   const bool lowest = liesLowest(block_plane, cloud, tolerance);
   if (!lowest) block_plane = lowestLevel(candidates);
   const bool observed =
@@ -287,7 +300,7 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
   std::vector<std::vector<Eigen::Vector3f>> nearby(node_count);
   if (observed) {
     for (const Eigen::Vector3f& p : cloud.points) {
-      if (std::abs(block_plane.residual(p)) > kRidgeHeight) continue;
+      if (std::abs(residualOf(block_plane, p)) > kRidgeHeight) continue;
       const int i = static_cast<int>((p.x() - extent.low.x()) / spacing);
       const int j = static_cast<int>((p.y() - extent.low.y()) / spacing);
       for (int y = j; y <= std::min(j + 1, rows - 1); ++y) {

@@ -3,66 +3,107 @@
 #include <algorithm>
 #include <utility>
 
+#include "common/gpu_streams.hpp"
+#include "common/xyz.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/preprocessing/outlier_filter_team.hpp"
+#include "preprocessing/outlier_filter_gpu.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-int countNeighbors(const NeighborGrid& grid, const Eigen::Vector3f& point, float radius) {
-  int count = -1;  // the point finds itself
-  grid.forEachWithin(point, radius, [&](std::uint32_t, float) { ++count; });
-  return count;
-}
+using Points = std::vector<Eigen::Vector3f>;
 
-/// Whether the points next to the k-th in the grid's order are neighbours enough: a quick look that
-/// settles most.
-bool crowdInOrder(const NeighborGrid& grid, const PointCloud& cloud, std::size_t k, float radius,
-                  std::uint32_t wanted) {
-  constexpr std::size_t kLook = 4U;  // points on either side
-  const std::size_t end = std::min(k + kLook + 1U, grid.size());
-  const Eigen::Vector3f& point = cloud.points[grid.sorted(k)];
-  std::uint32_t found = 0U;
-  for (std::size_t other = k - std::min(k, kLook); other < end; ++other) {
-    const Eigen::Vector3f offset = cloud.points[grid.sorted(other)] - point;
-    if (offset.squaredNorm() <= radius * radius) ++found;
+/// The filter's searches on the CPU.
+class CpuSearch {
+ public:
+  explicit CpuSearch(const Points& points) : points_(points), grid_({}, 1.0F) {}
+
+  void build(float radius) { grid_ = NeighborGrid(points_, radius); }
+
+  std::vector<std::uint32_t> sampleCounts(float radius, std::uint32_t step) const {
+    std::vector<std::uint32_t> counts;
+    const GridView view = grid_.view();
+    for (std::size_t i = 0; i < points_.size(); i += step) {
+      counts.push_back(countWithin(VectorLanes(), view, NeighborGrid::placeOf(points_[i]), radius,
+                                   view.size + 1U));
+    }
+    return counts;
   }
-  return found >= wanted;
-}
 
-int medianNeighborCount(const NeighborGrid& grid, const PointCloud& cloud, float radius) {
+  std::vector<std::uint8_t> company(float radius, std::uint32_t wanted) const {
+    std::vector<std::uint8_t> company(points_.size());
+    const GridView view = grid_.view();
+    for (std::uint32_t k = 0; k < view.size; ++k) {
+      company[view.order[k]] = hasCompany(VectorLanes(), view, k, radius, wanted) ? 1U : 0U;
+    }
+    return company;
+  }
+
+ private:
+  const Points& points_;
+  NeighborGrid grid_;
+};
+
+/// The same on the GPU.
+class GpuSearch {
+ public:
+  GpuSearch(GpuStream& stream, const Points& points)
+      : points_(points),
+        search_(stream, xyzOf(points), static_cast<std::uint32_t>(points.size())) {}
+
+  void build(float radius) { search_.build(gridGeometry(points_, radius)); }
+
+  std::vector<std::uint32_t> sampleCounts(float radius, std::uint32_t step) {
+    const std::uint32_t* counts = search_.sampleCounts(radius, step);
+    return {counts, counts + (points_.size() - 1U) / step + 1U};
+  }
+
+  std::vector<std::uint8_t> company(float radius, std::uint32_t wanted) {
+    const std::uint8_t* company = search_.company(radius, wanted);
+    return {company, company + points_.size()};
+  }
+
+ private:
+  const Points& points_;
+  GpuNeighborSearch search_;
+};
+
+template <class Search>
+std::vector<std::uint8_t> filter(Search& search, std::size_t points, float radius,
+                                 std::uint32_t min_neighbors) {
   constexpr std::size_t kSamples = 400U;
-  const std::size_t step = std::max<std::size_t>(1U, cloud.size() / kSamples);
-  std::vector<int> counts;
-  for (std::size_t i = 0; i < cloud.size(); i += step) {
-    counts.push_back(countNeighbors(grid, cloud.points[i], radius));
+  const auto step = static_cast<std::uint32_t>(std::max<std::size_t>(1U, points / kSamples));
+  constexpr int kMaxDoublings = 3;
+  search.build(radius);
+  for (int doubling = 0; doubling < kMaxDoublings; ++doubling) {
+    // The point finds itself.
+    const std::uint32_t typical = medianOf(search.sampleCounts(radius, step)) - 1U;
+    if (typical >= 2U * min_neighbors) break;
+    radius *= 2.0F;
+    search.build(radius);
   }
-  return medianOf(std::move(counts));
+  return search.company(radius, min_neighbors + 1U);
 }
 
 }  // namespace
 
 std::vector<std::uint8_t> radiusOutlierFilter(const PointCloud& cloud, float radius,
-                                              int min_neighbors) {
+                                              int min_neighbors, const ComputeDevice& device) {
   std::vector<std::uint8_t> keep(cloud.size(), 1U);
   if (min_neighbors <= 0 || cloud.empty()) return keep;
-
-  constexpr int kMaxDoublings = 3;
-  NeighborGrid grid(cloud.points, radius);
-  for (int doubling = 0; doubling < kMaxDoublings; ++doubling) {
-    if (medianNeighborCount(grid, cloud, radius) >= 2 * min_neighbors) break;
-    radius *= 2.0F;
-    grid = NeighborGrid(cloud.points, radius);
+  const auto wanted = static_cast<std::uint32_t>(min_neighbors);
+  if constexpr (kWithCuda) {
+    const bool done = device.attempt([&](GpuStream& stream) {
+      GpuSearch search(stream, cloud.points);
+      keep = filter(search, cloud.size(), radius, wanted);
+    });
+    if (done) return keep;
   }
-  // The point finds itself.
-  const auto wanted = static_cast<std::uint32_t>(min_neighbors) + 1U;
-  for (std::size_t k = 0; k < grid.size(); ++k) {
-    const std::uint32_t i = grid.sorted(k);
-    const bool kept = crowdInOrder(grid, cloud, k, radius, wanted) ||
-                      grid.hasWithin(cloud.points[i], radius, wanted);
-    keep[i] = kept ? 1U : 0U;
-  }
-  return keep;
+  CpuSearch search(cloud.points);
+  return filter(search, cloud.size(), radius, wanted);
 }
 
 }  // namespace field_phenotyping

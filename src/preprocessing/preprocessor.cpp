@@ -57,15 +57,16 @@ PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std:
 
 }  // namespace
 
-Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters) {
+Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
+                  const ComputeDevice& device) {
   Block block;
   block.header = std::move(points.header);
   // 1. Without outliers; 2. the soil; 3. taken out.
   PointCloud cloud = std::move(points.cloud);
   const auto keep = radiusOutlierFilter(cloud, static_cast<float>(parameters.outlier_radius),
-                                        parameters.outlier_min_neighbors);
+                                        parameters.outlier_min_neighbors, device);
   cloud = select(std::move(cloud), keep, 1U);
-  block.ground = estimateGround(cloud, parameters);
+  block.ground = estimateGround(cloud, parameters, device);
   const auto is_ground = classifyGround(cloud, block.ground, parameters);
   const std::size_t total = cloud.size();
   block.cloud = select(std::move(cloud), is_ground, 0U);
@@ -317,8 +318,9 @@ std::size_t Preprocessor::finishedBlocks() const {
       }));
 }
 
-Block Preprocessor::makeBlock(const BlockIndex& index, bool flush) const {
-  return finishBlock(collect(index, flush), impl_->parameters);
+Block Preprocessor::makeBlock(const BlockIndex& index, bool flush,
+                              const ComputeDevice& device) const {
+  return finishBlock(collect(index, flush), impl_->parameters, device);
 }
 
 BlockPoints Preprocessor::collect(const BlockIndex& index, bool flush) const {

@@ -2,9 +2,12 @@
 
 #include <algorithm>
 
+#include "common/gpu_streams.hpp"
+#include "common/xyz.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/segmentation/local_shape_team.hpp"
+#include "segmentation/local_shape_gpu.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -47,9 +50,18 @@ LocalShape computeLocalShape(const Eigen::Vector3f& point, const NeighborGrid& g
 }
 
 std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& points,
-                                           const NeighborGrid& grid, float radius) {
+                                           const NeighborGrid& grid, float radius,
+                                           const ComputeDevice& device) {
   std::vector<LocalShape> shapes(points.size());
   const GridView view = grid.view();
+  if constexpr (kWithCuda) {
+    const bool done = device.attempt([&](GpuStream& stream) {
+      const LocalShapeNumbers* found =
+          localShapesOnGpu(stream, xyzOf(points), view.size, view.geometry, radius);
+      for (std::size_t i = 0; i < shapes.size(); ++i) shapes[i] = toLocalShape(found[i]);
+    });
+    if (done) return shapes;
+  }
   constexpr std::uint32_t kChunk = 1024U;
   parallelFor((points.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
     GrowingTile tile;

@@ -39,7 +39,8 @@ struct Cells {
   std::uint32_t size() const { return static_cast<std::uint32_t>(centers.size()); }
 };
 
-Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner, float shape_radius) {
+Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner, float shape_radius,
+                  const ComputeDevice& device) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   Eigen::Array3f low = points.front().array();
   for (const Eigen::Vector3f& p : points) low = low.min(p.array());
@@ -80,7 +81,7 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner, fl
     if (cells.is_stem[n] == 0U) organs.push_back(cells.centers[n]);
   }
   const NeighborGrid grid(organs, shape_radius);
-  const std::vector<LocalShape> shapes = computeLocalShapes(organs, grid, shape_radius);
+  const std::vector<LocalShape> shapes = computeLocalShapes(organs, grid, shape_radius, device);
   LocalShape upright;
   upright.linearity = 1.0F;
   cells.shapes.assign(cells.size(), upright);
@@ -913,12 +914,13 @@ float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
 
 std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
                                        std::vector<std::int32_t> owner,
-                                       const SegmentationParameters& parameters) {
+                                       const SegmentationParameters& parameters,
+                                       const ComputeDevice& device) {
   if (block.cloud.empty()) return owner;
   const auto reach = static_cast<float>(parameters.organ_reach);
   const float noise = noiseOf(block, axes, owner);
   followStemsUp(block, axes, noise, owner);
-  Cells cells = gatherCells(block, owner, shapeRadius(noise));
+  Cells cells = gatherCells(block, owner, shapeRadius(noise), device);
   const Pieces pieces = findPieces(cells, noise);
   constexpr float kStraightOn = 1.6F;  // of the reach, along a leaf
   const std::vector<std::vector<Link>> links = linkPieces(cells, pieces, kStraightOn * reach);

@@ -197,7 +197,8 @@ SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters 
 
 }  // namespace
 
-SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wanted) {
+SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wanted,
+                            const ComputeDevice& device) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   if (points.empty()) return assemble(block, {}, {}, {});
   constexpr float kCell = 1.0F;  // of the radius of most queries
@@ -205,7 +206,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   SegmentationParameters parameters = adaptToDensity(points, grid, wanted);
   const auto radius = static_cast<float>(parameters.seed_radius);
   if (parameters.seed_radius != wanted.seed_radius) grid = NeighborGrid(points, kCell * radius);
-  const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius);
+  const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius, device);
   const GrowthScene scene{points, shapes, grid};
   const float plant_height = canopyHeight(scene, block.ground);
   parameters = adaptToHeight(plant_height, parameters);
@@ -227,7 +228,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   std::vector<std::int32_t> plant_owner;
   const auto giveToPlants = [&] {
     stem_owner = resolveOwners(scene, stems);
-    plant_owner = assignOrgans(block, axesOf(stems), stem_owner, parameters);
+    plant_owner = assignOrgans(block, axesOf(stems), stem_owner, parameters, device);
   };
   giveToPlants();
   const std::vector<bool> tillers = findTillers(scene, block, stems, plant_owner);

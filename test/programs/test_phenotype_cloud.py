@@ -126,6 +126,7 @@ class Output(FieldTest):
         for stage in timing.values():
             self.assertGreaterEqual(stage['seconds'], 0.0)
             self.assertGreaterEqual(stage['points'], 0)
+            self.assertTrue('why_cpu' in stage if stage['device'] == 'cpu' else stage['gpu_steps'])
         with open(os.path.join(out, 'plants.geojson')) as file:
             features = json.load(file)['features']
         self.assertEqual(len(features), len(PLANTS))
@@ -434,6 +435,23 @@ class Options(FieldTest):
             self.assert_refused(
                 self.measure(self.field, '-o', self.path('run'), option, value), option
             )
+
+    def test_cuda_is_there_or_it_is_said_why_not(self):
+        done = self.measure(self.field, '-o', self.path('run'), '--device', 'cuda')
+        if done[0] != 0:
+            self.assert_refused(done, 'no GPU')
+
+    def test_cpu_is_the_cpu_and_auto_says_what_it_is(self):
+        for wish in ('cpu', 'auto'):
+            out = self.path('run_' + wish)
+            self.assert_done(self.measure(self.field, '-o', out, '--device', wish))
+            with open(os.path.join(out, 'timing.json')) as file:
+                stage = json.load(file)['segmentation']
+            if wish == 'cpu':
+                self.assertEqual(stage['device'], 'cpu')
+                self.assertEqual(stage['why_cpu'], 'the CPU was asked for')
+            elif stage['device'] == 'cpu':
+                self.assertIn('no GPU', stage['why_cpu'])
 
     def test_list_of_parameters_can_be_set_back(self):
         said = self.assert_done(self.measure('--list-parameters'))

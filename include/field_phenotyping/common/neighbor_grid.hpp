@@ -110,10 +110,9 @@ class NeighborGrid {
   std::vector<std::uint64_t> rows_;   // the row of each sorted point
 };
 
-/// The cells of a search over points in the box [low, high].
-/// @throws std::invalid_argument when the cell is not positive, or the extent not finite or over
-/// 2^21 cells
-GridGeometry gridGeometry(const Eigen::Vector3f& low, const Eigen::Vector3f& high, float cell,
-                          std::size_t points);
+/// The cells of a search over points, with edges of `cell` [m].
+/// @throws std::invalid_argument when the cell is not positive, a point is not finite, or they
+/// extend over more than 2^21 cells
+GridGeometry gridGeometry(const std::vector<Eigen::Vector3f>& points, float cell);
 
 }  // namespace field_phenotyping

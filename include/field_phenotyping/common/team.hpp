@@ -46,6 +46,19 @@ constexpr std::size_t kLanes = 4U;
 //   bool any(Mask) const                  whether it is true in a lane that this member stands for
 //   bool first() const                    whether this member is its group's first
 
+/// Sum of the values of all groups; all members get it.
+/// @param value the same in all members of a group
+/// @param scratch as many values as the team has groups; all members see the same memory
+template <class Team, class Value>
+FIELD_PHENOTYPING_HD Value teamSum(const Team& team, Value value, Value* scratch) {
+  if (team.lanes().first()) scratch[team.group()] = value;
+  team.sync();
+  Value sum = scratch[0];
+  for (unsigned k = 1U; k < team.groups(); ++k) sum += scratch[k];
+  team.sync();  // the scratch is free again
+  return sum;
+}
+
 /// What is the same in all lanes that are threads of their own.
 struct ThreadLanes {
   using Float = float;

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/ground_model.hpp"
@@ -15,8 +16,9 @@ namespace field_phenotyping {
 ///
 /// Where too little of the seen area shows soil (it was cropped away) the model is marked as not
 /// observed and follows the lowest plant points instead. Deterministic. An empty cloud gives an
-/// empty model.
-GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameters& parameters);
+/// empty model. A device may score the planes, with the same result.
+GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameters& parameters,
+                           const ComputeDevice& device = {});
 
 /// Marks soil points (1): those nearer to the model than its own roughness explains, at most
 /// `ground_distance`, but for the feet of what stands on it. Nothing is soil where the model was

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
 
@@ -36,7 +37,8 @@ struct BlockPoints {
 };
 
 /// The steps of 2.3 that need no map: outliers and soil are taken out. Thread-safe.
-Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters);
+Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
+                  const ComputeDevice& device = {});
 
 /// First stage: scans in, blocks out (paper 2.3). Scans accumulate in a voxel map that is kept tile
 /// by tile; a tile that changed enough, or is final, is handed on as a block with outliers and soil
@@ -72,7 +74,7 @@ class Preprocessor {
   BlockPoints collect(const BlockIndex& index, bool flush) const;
 
   /// Builds block `index` from what has accumulated. Thread-safe against other makeBlock().
-  Block makeBlock(const BlockIndex& index, bool flush) const;
+  Block makeBlock(const BlockIndex& index, bool flush, const ComputeDevice& device = {}) const;
 
   /// Notes that `block` has been handed on, or collected to be: its tile is not due again until it
   /// changes; final tiles far from the sensor are forgotten.

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 
 namespace field_phenotyping {
@@ -23,9 +24,10 @@ struct LocalShape {
 LocalShape computeLocalShape(const Eigen::Vector3f& point, const NeighborGrid& grid, float radius);
 
 /// Local shapes of `points` within `radius` [m]; neutral where fewer than five neighbours are
-/// found.
+/// found. The same bit for bit on every device.
 /// @param grid over the same points
 std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& points,
-                                           const NeighborGrid& grid, float radius);
+                                           const NeighborGrid& grid, float radius,
+                                           const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping

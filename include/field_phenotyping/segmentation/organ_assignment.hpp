@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
@@ -29,6 +30,7 @@ namespace field_phenotyping {
 /// @return the same array with leaves and tassels filled in; what no stem reaches stays -1
 std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
                                        std::vector<std::int32_t> owner,
-                                       const SegmentationParameters& parameters);
+                                       const SegmentationParameters& parameters,
+                                       const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping

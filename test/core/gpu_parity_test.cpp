@@ -1,0 +1,188 @@
+// The GPU beside the CPU: every step that was written for both gives the same. Skipped, and said
+// so, where there is no GPU. What a device does when it cannot be had is tested everywhere.
+
+#include <gtest/gtest.h>
+
+#include <random>
+#include <stdexcept>
+#include <string>
+
+#include "common/gpu_streams.hpp"
+#include "field_phenotyping/common/compute_device.hpp"
+#include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/pipeline.hpp"
+#include "field_phenotyping/preprocessing/ground_estimation.hpp"
+#include "field_phenotyping/preprocessing/outlier_filter.hpp"
+#include "field_phenotyping/segmentation/local_shape.hpp"
+#include "test_scene.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+using Points = std::vector<Eigen::Vector3f>;
+
+TEST(ComputeDevice, IsTheCpuWhenItIsAskedFor) {
+  const ComputeDevice device = ComputeDevice::choose("cpu");
+  EXPECT_FALSE(device.hasGpu());
+  EXPECT_EQ(device.use().device, "cpu");
+  EXPECT_EQ(device.use().why_cpu, "the CPU was asked for");
+  bool called = false;
+  EXPECT_FALSE(device.attempt([&](GpuStream&) { called = true; }));
+  EXPECT_FALSE(called);
+  EXPECT_EQ(device.use().fallbacks, 0U) << "nothing has failed";
+}
+
+TEST(ComputeDevice, KnowsNoOtherWishes) {
+  EXPECT_THROW(ComputeDevice::choose("tpu"), std::invalid_argument);
+  EXPECT_THROW(ComputeDevice::choose(""), std::invalid_argument);
+}
+
+TEST(ComputeDevice, IsTheGpuOrSaysWhyNot) {
+  const ComputeDevice device = ComputeDevice::choose("auto");
+  if (device.hasGpu()) {
+    EXPECT_EQ(device.use().device.rfind("cuda: ", 0), 0U);
+    EXPECT_EQ(device.use().why_cpu, "");
+    EXPECT_TRUE(ComputeDevice::choose("cuda").hasGpu());
+    return;
+  }
+  EXPECT_NE(device.use().why_cpu.find("no GPU"), std::string::npos) << device.use().why_cpu;
+  try {
+    ComputeDevice::choose("cuda");
+    FAIL() << "there is no GPU";
+  } catch (const std::runtime_error& error) {
+    EXPECT_NE(std::string(error.what()).find(device.use().why_cpu), std::string::npos);
+  }
+}
+
+class Gpu : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    device_ = ComputeDevice::choose("auto");
+    if (!device_.hasGpu()) GTEST_SKIP() << "NOT TESTED, " << device_.use().why_cpu;
+  }
+  void TearDown() override {
+    if (!device_.hasGpu()) return;
+    const DeviceUse use = device_.use();
+    EXPECT_EQ(use.fallbacks, expected_fallbacks_) << use.last_failure;
+    EXPECT_GT(use.gpu_steps, 0U) << "all was done by the CPU";
+  }
+  ComputeDevice device_;
+  std::size_t expected_fallbacks_ = 0U;
+};
+
+TEST_F(Gpu, FailuresAreCountedAndTheWorkIsGivenBack) {
+  EXPECT_FALSE(device_.attempt([](GpuStream&) { throw GpuError("no luck", false); }));
+  EXPECT_EQ(device_.use().fallbacks, 1U);
+  EXPECT_EQ(device_.use().last_failure, "no luck");
+  EXPECT_THROW(device_.attempt([](GpuStream&) { throw std::out_of_range("not the GPU's"); }),
+               std::out_of_range);
+  // More at once, and one after the other, than there are streams.
+  parallelFor(100U, [&](std::size_t) { EXPECT_TRUE(device_.attempt([](GpuStream&) {})); });
+  expected_fallbacks_ = 1U;
+}
+
+Points plantsAndNoise(std::size_t count, unsigned seed, float size) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<float> uniform(0.0F, 1.0F);
+  Points points;
+  for (std::size_t i = 0; i < count; ++i) {
+    const float a = uniform(random);
+    const float b = uniform(random);
+    const float c = uniform(random);
+    const auto column = static_cast<float>(i % 40U);
+    if (i % 4U == 0U) points.emplace_back(size * a, size * b, 0.05F * c);
+    if (i % 4U == 1U) points.emplace_back(0.1F * column + 0.02F * a, 0.02F * b, 2.0F * c);
+    if (i % 4U == 2U) points.emplace_back(0.1F * column + 0.4F * a, 0.05F * b, 0.3F + 0.5F * a);
+    if (i % 4U == 3U) points.emplace_back(size * a, size * b, 2.0F * c);
+  }
+  return points;
+}
+
+bool sameBits(const LocalShape& a, const LocalShape& b) {
+  return a.direction == b.direction && a.normal == b.normal && a.linearity == b.linearity &&
+         a.curvature == b.curvature && a.neighbors == b.neighbors;
+}
+
+TEST_F(Gpu, LocalShapesAreTheSameBitForBit) {
+  struct Case {
+    std::size_t points;
+    float size;
+    float cell;
+    float radius;
+  };
+  // The last ones have hundreds of points in a cell, and no table of cells.
+  for (const Case& c : {Case{1U, 1.0F, 0.04F, 0.04F}, Case{7U, 1.0F, 0.04F, 0.04F},
+                        Case{20000U, 4.0F, 0.04F, 0.04F}, Case{20000U, 4.0F, 0.02F, 0.05F},
+                        Case{60000U, 1.0F, 0.1F, 0.1F}, Case{5000U, 60.0F, 0.01F, 0.05F}}) {
+    const Points points = plantsAndNoise(c.points, 3U, c.size);
+    const NeighborGrid grid(points, c.cell);
+    const std::vector<LocalShape> on_cpu = computeLocalShapes(points, grid, c.radius);
+    const std::vector<LocalShape> on_gpu = computeLocalShapes(points, grid, c.radius, device_);
+    ASSERT_EQ(on_cpu.size(), on_gpu.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      ASSERT_TRUE(sameBits(on_cpu[i], on_gpu[i])) << i << " of " << c.points;
+    }
+  }
+}
+
+TEST_F(Gpu, OutliersAreTheSame) {
+  for (const std::size_t count : {1U, 5U, 800U, 30000U}) {
+    for (const float size : {1.0F, 6.0F, 40.0F}) {  // the last makes the radius double
+      PointCloud cloud;
+      cloud.points = plantsAndNoise(count, 5U, size);
+      EXPECT_EQ(radiusOutlierFilter(cloud, 0.05F, 2), radiusOutlierFilter(cloud, 0.05F, 2, device_))
+          << count << " points on " << size << " m";
+    }
+  }
+}
+
+TEST_F(Gpu, SoilIsTheSame) {
+  PointCloud cloud;
+  cloud.points = plantsAndNoise(40000U, 6U, 5.0F);
+  for (Eigen::Vector3f& p : cloud.points) p.z() += 0.1F * p.x();
+  const PreprocessingParameters parameters;
+  const GroundModel on_cpu = estimateGround(cloud, parameters);
+  const GroundModel on_gpu = estimateGround(cloud, parameters, device_);
+  for (const Eigen::Vector3f& p : cloud.points) {
+    ASSERT_EQ(on_cpu.heightAbove(p), on_gpu.heightAbove(p));
+  }
+}
+
+TEST_F(Gpu, TheWholePipelineIsTheSame) {
+  testing::Scene scene(testing::slopingSoil(3.0, 20.0), 1U);
+  scene.addSoil({0.0, 0.0}, {6.0, 2.0}, 2500.0);
+  for (int k = 0; k < 20; ++k) {
+    testing::PlantTruth plant;
+    plant.base = {0.5 + 0.25 * k, 0.7 + 0.4 * (k % 2)};
+    scene.addPlant(plant);
+  }
+  const PointCloud& cloud = scene.cloud;
+  Parameters parameters;
+  parameters.preprocessing.block_size = 2.0;  // several blocks in flight
+  const PipelineResult on_cpu = phenotypeCloud(cloud, parameters);
+  ASSERT_EQ(on_cpu.plants.size(), 20U);
+  for (int run = 0; run < 2; ++run) {
+    const PipelineResult on_gpu = phenotypeCloud(cloud, parameters, {}, device_);
+    ASSERT_EQ(on_gpu.plants.size(), on_cpu.plants.size());
+    for (std::size_t k = 0; k < on_cpu.plants.size(); ++k) {
+      EXPECT_EQ(on_gpu.plants[k].height.value, on_cpu.plants[k].height.value);
+      EXPECT_EQ(on_gpu.plants[k].stem_diameter.value, on_cpu.plants[k].stem_diameter.value);
+      EXPECT_EQ(on_gpu.plants[k].base, on_cpu.plants[k].base);
+    }
+    std::size_t different = 0U;
+    for (std::size_t i = 0; i < on_cpu.labels.size(); ++i) {
+      different += on_cpu.labels[i].plant_id != on_gpu.labels[i].plant_id ||
+                           on_cpu.labels[i].part != on_gpu.labels[i].part
+                       ? 1U
+                       : 0U;
+    }
+    EXPECT_EQ(different, 0U);
+    EXPECT_GT(on_gpu.times[0].use.gpu_steps, 0U);
+    EXPECT_GT(on_gpu.times[1].use.gpu_steps, 0U);
+  }
+  device_.attempt([](GpuStream&) {});  // the pipeline counts for itself
+}
+
+}  // namespace
+}  // namespace field_phenotyping
