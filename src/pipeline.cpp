@@ -149,16 +149,16 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   PreprocessingParameters preprocessing = parameters.preprocessing;
   preprocessing.min_range = 0.0;
   preprocessing.max_range = std::numeric_limits<double>::infinity();
+  const ComputeDevice preprocessing_device = device.withOwnCounts();
+  const ComputeDevice segmentation_device = device.withOwnCounts();
   const Tiling tiling = leastWork(cloud, preprocessing);
   preprocessing.block_size = tiling.edge;
   Preprocessor preprocessor(preprocessing, "map", tiling.corner);
   Scan scan;
   scan.cloud = cloud;
-  preprocessor.addScan(scan, Eigen::Isometry3d::Identity());
+  preprocessor.addScan(scan, Eigen::Isometry3d::Identity(), preprocessing_device);
   const std::vector<BlockIndex> due = preprocessor.dueBlocks(true);
   constexpr std::size_t kStages = 4U;
-  const ComputeDevice preprocessing_device = device.withOwnCounts();
-  const ComputeDevice segmentation_device = device.withOwnCounts();
   Bookkeeper bookkeeper(1U + kStages * due.size(), progress);
   bookkeeper.add(0U, secondsSince(start), 0U);
 

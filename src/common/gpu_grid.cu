@@ -1,6 +1,5 @@
-#include <cub/device/device_radix_sort.cuh>
-
 #include "common/gpu_grid.hpp"
+#include "common/gpu_sort.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -103,14 +102,7 @@ GpuGrid buildGpuGrid(GpuStream& stream, const Place* points, std::uint32_t count
   checkLaunch("numbering of points");
 
   // Stable: points of one cell stay in the order of their indices.
-  std::size_t scratch_bytes = 0U;
-  checkGpu(cub::DeviceRadixSort::SortPairs(nullptr, scratch_bytes, keys, sorted_keys, indices,
-                                           order, count, 0, key.bits(), stream.get()),
-           "sorting of points");
-  char* scratch = stream.device<char>(scratch_bytes);
-  checkGpu(cub::DeviceRadixSort::SortPairs(scratch, scratch_bytes, keys, sorted_keys, indices,
-                                           order, count, 0, key.bits(), stream.get()),
-           "sorting of points");
+  sortOnGpu(stream, keys, sorted_keys, indices, order, count, key.bits());
 
   const std::size_t padded = count + kLanes;
   const SortedPoints sorted{stream.device<float>(padded), stream.device<float>(padded),

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/preprocessing/ground_estimation.hpp"
 #include "field_phenotyping/preprocessing/outlier_filter.hpp"
 #include "field_phenotyping/preprocessing/voxel_map.hpp"
@@ -37,7 +38,8 @@ struct ReachedTile {
   TileState* state = nullptr;
   VoxelTile* tile = nullptr;
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();
-  std::set<BlockIndex> touched;  // blocks that these points have touched
+  std::set<BlockIndex> touched;          // blocks that these points have touched
+  std::vector<Eigen::Vector3f> waiting;  // points to be inserted together, from the origin [m]
 };
 
 PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std::uint8_t wanted) {
@@ -104,8 +106,15 @@ struct Preprocessor::Impl {
   void chooseHeightDatum(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
   std::optional<Eigen::Vector3d> sensorOf(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
   ReachedTile& reach(const BlockIndex& index);
-  bool insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color,
+  /// A point of the map in its tile.
+  struct InTile {
+    ReachedTile* tile;
+    Eigen::Vector3f local;  // from the tile's origin [m]
+  };
+  std::optional<InTile> locate(const Eigen::Vector3d& p);
+  void insert(const InTile& point, bool with_color, std::uint32_t color,
               const std::optional<Eigen::Vector3d>& sensor);
+  void insertWaiting(const ComputeDevice& device);
   void touchBlocksAround(ReachedTile& reached, const Eigen::Vector3f& local);
   void chooseEvictions();
   bool isFinal(const TileState& state) const;
@@ -198,21 +207,44 @@ std::optional<Eigen::Vector3d> Preprocessor::Impl::sensorOf(const Scan& scan,
   return still ? sensor : std::nullopt;
 }
 
-/// Returns whether the point lies near enough to the map's other points to be kept.
-/// @param sensor where it was, if known
-bool Preprocessor::Impl::insert(const Eigen::Vector3d& p, bool with_color, std::uint32_t color,
-                                const std::optional<Eigen::Vector3d>& sensor) {
+/// Where a point goes; nothing if it lies too far from the map's other points to be kept.
+std::optional<Preprocessor::Impl::InTile> Preprocessor::Impl::locate(const Eigen::Vector3d& p) {
   const BlockIndex index = map.tileAt(p.x(), p.y());
   const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
-  if (!hasVoxelKey(local, map.voxelSize())) return false;
+  if (!hasVoxelKey(local, map.voxelSize())) return std::nullopt;
   ReachedTile& reached = reach(index);
-  if (reached.tile->insert(local, map.voxelSize(), with_color, color)) {
-    if (sensor) reached.tile->noteOrigin((*sensor - reached.origin).cast<float>());
-    ++reached.state->new_voxels;
-    ++voxel_count;
-  }
   touchBlocksAround(reached, local);
-  return true;
+  return InTile{&reached, local};
+}
+
+/// @param sensor where it was, if known
+void Preprocessor::Impl::insert(const InTile& point, bool with_color, std::uint32_t color,
+                                const std::optional<Eigen::Vector3d>& sensor) {
+  ReachedTile& reached = *point.tile;
+  if (!reached.tile->insert(point.local, map.voxelSize(), with_color, color)) return;
+  if (sensor) reached.tile->noteOrigin((*sensor - reached.origin).cast<float>());
+  ++reached.state->new_voxels;
+  ++voxel_count;
+}
+
+/// All points that wait, tile by tile.
+void Preprocessor::Impl::insertWaiting(const ComputeDevice& device) {
+  std::vector<ReachedTile*> work;
+  for (auto& [index, reached] : reached_tiles) {
+    if (!reached.waiting.empty()) work.push_back(&reached);
+  }
+  std::vector<std::size_t> added(work.size());
+  parallelFor(work.size(), [&](std::size_t t) {
+    const std::size_t before = work[t]->tile->size();
+    work[t]->tile->insertAll(work[t]->waiting, map.voxelSize(), device);
+    added[t] = work[t]->tile->size() - before;
+  });
+  for (std::size_t t = 0; t < work.size(); ++t) {
+    work[t]->state->new_voxels += added[t];
+    voxel_count += added[t];
+  }
+  reached_tiles.clear();
+  last_reached = nullptr;
 }
 
 /// Past the memory limit the tiles that were not reached for longest go first.
@@ -257,7 +289,8 @@ bool Preprocessor::setParameters(const PreprocessingParameters& parameters) {
   return new_grid;
 }
 
-ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor) {
+ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                                 const ComputeDevice& device) {
   ScanReport report;
   report.points = scan.cloud.size();
   impl_->newest_ns = std::max(impl_->newest_ns, scan.stamp_ns);
@@ -266,6 +299,10 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
   const std::optional<Eigen::Vector3d> sensor = impl_->sensorOf(scan, T_map_sensor);
   impl_->reached_tiles.clear();
   impl_->last_reached = nullptr;
+  // Whole clouds have no sensor: their tiles are filled side by side. Scans are too small for that.
+  constexpr std::size_t kWholeCloud = 100000U;
+  const bool by_tile =
+      scan.cloud.size() >= kWholeCloud && !scan.cloud.hasColors() && !sensor.has_value();
   for (std::size_t i = 0; i < scan.cloud.size(); ++i) {
     if (!scan.cloud.points[i].allFinite()) {
       ++report.non_finite;
@@ -273,15 +310,22 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
     }
     const Eigen::Vector3d from_sensor = scan.cloud.mapPoint(i);
     const Eigen::Vector3d p = T_map_sensor * from_sensor;
-    const std::uint32_t color = scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U;
-    if (!impl_->inRange(from_sensor) || !impl_->inCropBox(p) ||
-        !impl_->insert(p, scan.cloud.hasColors(), color, sensor)) {
+    std::optional<Impl::InTile> place;
+    if (impl_->inRange(from_sensor) && impl_->inCropBox(p)) place = impl_->locate(p);
+    if (!place) {
       ++report.out_of_range;
       continue;
+    }
+    if (by_tile) {
+      place->tile->waiting.push_back(place->local);
+    } else {
+      const std::uint32_t color = scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U;
+      impl_->insert(*place, scan.cloud.hasColors(), color, sensor);
     }
     sum += p.head<2>();
     ++report.used;
   }
+  impl_->insertWaiting(device);
   if (report.used > 0U) impl_->scan_center = sum / static_cast<double>(report.used);
   impl_->chooseEvictions();
   return report;

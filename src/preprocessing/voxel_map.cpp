@@ -3,39 +3,37 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "common/gpu_streams.hpp"
+#include "common/xyz.hpp"
+#include "preprocessing/voxel_gpu.hpp"
+
 namespace field_phenotyping {
 namespace {
 
-constexpr float kHalfRange = 1048576.0F;  // 2^20 voxels on either side of the origin
-
-std::uint64_t axisKey(float coordinate, float voxel_size) {
-  const float cell = std::floor(coordinate / voxel_size);
-  if (!(std::abs(cell) < kHalfRange)) {
-    throw std::out_of_range("a point lies over 2^20 voxels from its tile's origin");
-  }
-  return static_cast<std::uint64_t>(static_cast<std::int64_t>(cell + kHalfRange));
+Place placeOf(const Eigen::Vector3f& p) {
+  return {p.x(), p.y(), p.z()};
 }
 
 }  // namespace
 
 bool hasVoxelKey(const Eigen::Vector3f& p, float voxel_size) {
-  return (p.array() / voxel_size).abs().maxCoeff() < kHalfRange - 1.0F;
+  return (p.array() / voxel_size).abs().maxCoeff() < kVoxelHalfRange - 1.0F;
 }
 
 VoxelKey voxelKey(const Eigen::Vector3f& p, float voxel_size) {
-  return axisKey(p.x(), voxel_size) << 42U | axisKey(p.y(), voxel_size) << 21U |
-         axisKey(p.z(), voxel_size);
+  if (!((p.array() / voxel_size).abs() < kVoxelHalfRange).all()) {
+    throw std::out_of_range("a point lies over 2^20 voxels from its tile's origin");
+  }
+  return voxelKeyOf(placeOf(p), voxel_size);
 }
 
 bool VoxelTile::insert(const Eigen::Vector3f& p, float voxel_size, bool with_color,
                        std::uint32_t color) {
+  indexVoxels();
   const auto [entry, is_new] =
       index_.tryEmplace(voxelKey(p, voxel_size), static_cast<std::uint32_t>(voxels_.size()));
   if (is_new) voxels_.emplace_back();
-  Voxel& voxel = voxels_[*entry];
-  // A running mean: sums lose precision where the rover stands still for long.
-  ++voxel.count;
-  voxel.mean += (p - voxel.mean) / static_cast<float>(voxel.count);
+  voxels_[*entry].add(placeOf(p));
   if (with_color) {
     colors_.resize(voxels_.size());
     auto& sums = colors_[*entry];
@@ -45,6 +43,25 @@ bool VoxelTile::insert(const Eigen::Vector3f& p, float voxel_size, bool with_col
     ++sums[3];
   }
   return is_new;
+}
+
+void VoxelTile::insertAll(const std::vector<Eigen::Vector3f>& points, float voxel_size,
+                          const ComputeDevice& device) {
+  if constexpr (kWithCuda) {
+    const bool done = voxels_.empty() && device.attempt([&](GpuStream& stream) {
+      const GpuVoxels found =
+          voxelsOnGpu(stream, xyzOf(points), static_cast<std::uint32_t>(points.size()), voxel_size);
+      voxels_.assign(found.voxels, found.voxels + found.count);
+      not_indexed_.assign(found.keys, found.keys + found.count);
+    });
+    if (done) return;
+  }
+  for (const Eigen::Vector3f& p : points) insert(p, voxel_size, false, 0U);
+}
+
+void VoxelTile::indexVoxels() {
+  for (std::uint32_t i = 0; i < not_indexed_.size(); ++i) index_.tryEmplace(not_indexed_[i], i);
+  not_indexed_ = {};
 }
 
 void VoxelTile::noteOrigin(const Eigen::Vector3f& sensor) {

@@ -14,6 +14,7 @@
 #include "field_phenotyping/pipeline.hpp"
 #include "field_phenotyping/preprocessing/ground_estimation.hpp"
 #include "field_phenotyping/preprocessing/outlier_filter.hpp"
+#include "field_phenotyping/preprocessing/voxel_map.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "test_scene.hpp"
 
@@ -122,6 +123,29 @@ TEST_F(Gpu, LocalShapesAreTheSameBitForBit) {
     ASSERT_EQ(on_cpu.size(), on_gpu.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
       ASSERT_TRUE(sameBits(on_cpu[i], on_gpu[i])) << i << " of " << c.points;
+    }
+  }
+}
+
+void expectSameVoxels(const VoxelTile& a, const VoxelTile& b) {
+  ASSERT_EQ(a.size(), b.size());
+  for (std::size_t i = 0; i < a.size(); ++i) ASSERT_EQ(a.centroid(i), b.centroid(i)) << i;
+}
+
+TEST_F(Gpu, VoxelsAreTheSameAndGoOnToBe) {
+  for (const std::size_t count : {1U, 2U, 1000U, 200000U}) {
+    for (const float voxel_size : {0.003F, 0.05F, 10.0F}) {
+      const Points points = plantsAndNoise(count, 12U, 2.0F);
+      VoxelTile one_by_one;
+      for (const Eigen::Vector3f& p : points) one_by_one.insert(p, voxel_size, false, 0U);
+      VoxelTile on_gpu;
+      on_gpu.insertAll(points, voxel_size, device_);
+      expectSameVoxels(on_gpu, one_by_one);
+      for (const Eigen::Vector3f& p : plantsAndNoise(500U, 13U, 2.0F)) {
+        EXPECT_EQ(on_gpu.insert(p, voxel_size, false, 0U),
+                  one_by_one.insert(p, voxel_size, false, 0U));
+      }
+      expectSameVoxels(on_gpu, one_by_one);
     }
   }
 }

@@ -1,8 +1,10 @@
-// Scores of soil planes and outliers: beside brute force, and the same whatever the team.
+// Voxels, scores of soil planes and outliers: beside brute force, and the same whatever the team.
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <map>
 #include <random>
 
 #include "emulated_team.hpp"
@@ -11,6 +13,7 @@
 #include "field_phenotyping/preprocessing/outlier_filter.hpp"
 #include "field_phenotyping/preprocessing/outlier_filter_team.hpp"
 #include "field_phenotyping/preprocessing/soil_plane_team.hpp"
+#include "field_phenotyping/preprocessing/voxel_map.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -91,6 +94,46 @@ TEST(OutlierFilter, KeepsWhatBruteForceKeepsWhateverTheTeam) {
   }
   EXPECT_GT(kept, 50);
   EXPECT_LT(kept, 450);
+}
+
+/// What the GPU does, step by step, with the routines that it does it with.
+TEST(Voxels, OfPointsSortedByKeyAreThoseOfOneAfterTheOther) {
+  constexpr float kVoxel = 0.05F;
+  std::mt19937 random(21U);
+  std::uniform_real_distribution<float> place(-0.3F, 0.3F);
+  std::vector<Eigen::Vector3f> points;
+  for (int i = 0; i < 3000; ++i) points.emplace_back(place(random), place(random), place(random));
+  points.emplace_back(-0.05F, 0.0F, 0.1F);  // on borders
+  points.emplace_back(0.0F, -0.0F, 0.05F);
+  VoxelTile tile;
+  VoxelTile at_once;
+  for (const Eigen::Vector3f& p : points) tile.insert(p, kVoxel, false, 0U);
+  at_once.insertAll(points, kVoxel, ComputeDevice());
+
+  std::vector<Place> places;
+  std::vector<std::uint64_t> keys;
+  std::vector<std::uint32_t> order(points.size());
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
+    places.push_back(NeighborGrid::placeOf(points[i]));
+    keys.push_back(voxelKeyOf(places.back(), kVoxel));
+    EXPECT_EQ(keys.back(), voxelKey(points[i], kVoxel));
+    order[i] = i;
+  }
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::uint32_t a, std::uint32_t b) { return keys[a] < keys[b]; });
+  std::map<std::uint32_t, VoxelMean> by_opening;
+  for (std::uint32_t begin = 0U, end = 0U; begin < order.size(); begin = end) {
+    while (end < order.size() && keys[order[end]] == keys[order[begin]]) ++end;
+    by_opening[order[begin]] = meanOfSorted(places.data(), order.data(), begin, end);
+  }
+  ASSERT_EQ(by_opening.size(), tile.size());
+  ASSERT_EQ(at_once.size(), tile.size());
+  std::size_t k = 0U;
+  for (const auto& [first, voxel] : by_opening) {
+    EXPECT_EQ(tile.centroid(k), Eigen::Vector3f(voxel.mean.x, voxel.mean.y, voxel.mean.z));
+    EXPECT_EQ(at_once.centroid(k), tile.centroid(k));
+    ++k;
+  }
 }
 
 }  // namespace

@@ -59,8 +59,10 @@ class Preprocessor {
   /// returns whether it did.
   bool setParameters(const PreprocessingParameters& parameters);
 
-  /// Transforms, crops and accumulates one scan.
-  ScanReport addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
+  /// Transforms, crops and accumulates one scan. A GPU helps with large ones that have no colour
+  /// and no sensor's place, as whole clouds.
+  ScanReport addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                     const ComputeDevice& device = {});
 
   /// Blocks worth working now: changed enough since they were handed on, or no longer reached by
   /// scans. `flush`: every block that changed at all, as final. Those that were handed on longest

@@ -6,9 +6,11 @@
 #include <map>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
+#include "field_phenotyping/preprocessing/voxel_team.hpp"
 
 namespace field_phenotyping {
 
@@ -30,11 +32,19 @@ class VoxelTile {
   /// Adds a point; returns whether it opened a new voxel. `color` is ignored without `with_color`.
   bool insert(const Eigen::Vector3f& p, float voxel_size, bool with_color, std::uint32_t color);
 
+  /// Adds points without colour, with the same result as one after the other. All must have a key.
+  /// A GPU takes those of a tile that holds none yet.
+  void insertAll(const std::vector<Eigen::Vector3f>& points, float voxel_size,
+                 const ComputeDevice& device);
+
   /// Notes where the sensor was when it saw the point that opened the newest voxel [m].
   void noteOrigin(const Eigen::Vector3f& sensor);
 
   /// Centroids in the order in which their voxels were opened.
-  const Eigen::Vector3f& centroid(std::size_t i) const { return voxels_[i].mean; }
+  Eigen::Vector3f centroid(std::size_t i) const {
+    const Place& mean = voxels_[i].mean;
+    return {mean.x, mean.y, mean.z};
+  }
   std::uint32_t color(std::size_t i) const;
 
   /// Where the sensor was, scan by scan, as far as scans opened voxels.
@@ -48,13 +58,11 @@ class VoxelTile {
   bool hasColors() const { return !colors_.empty(); }
 
  private:
-  struct Voxel {
-    Eigen::Vector3f mean = Eigen::Vector3f::Zero();
-    std::uint32_t count = 0U;
-  };
+  void indexVoxels();
 
   KeyMap<std::uint32_t> index_;  // of voxels_, by key
-  std::vector<Voxel> voxels_;
+  std::vector<VoxelMean> voxels_;
+  std::vector<VoxelKey> not_indexed_;                 // of voxels_ that index_ lacks: all or none
   std::vector<std::array<std::uint64_t, 4>> colors_;  // sums of red, green, blue; how many
   std::vector<Eigen::Vector3f> origins_;
   std::vector<std::uint16_t> origin_;  // of the voxels, as far as any is known
