@@ -104,7 +104,7 @@ struct GpuStreams::Impl {
 std::unique_ptr<GpuStreams> GpuStreams::open(std::string& why) {
   constexpr int kDevice = 0;            // CUDA_VISIBLE_DEVICES says which one that is
   constexpr std::size_t kStreams = 8U;  // of blocks in flight; copies of some, kernels of others
-  constexpr double kShare = 0.8;        // of the free memory that they may use together
+  constexpr double kShare = 0.4;  // of the free memory that they may use; they may hold twice that
   constexpr std::size_t kMostPinned = std::size_t{256} << 20U;  // [bytes] of each
   try {
     int devices = 0;

@@ -39,7 +39,8 @@ class OwnedMemory {
 };
 
 /// Memory that is handed out in pieces and taken back all at once, for the next block to use again.
-/// It holds what the largest block so far needed, at most `limit` bytes. Not thread-safe.
+/// It keeps what the largest block so far needed. At most `limit` bytes are handed out; while a block
+/// needs more than all before it, up to twice as much is held. Not thread-safe.
 template <class Memory>
 class ScratchPool {
  public:
@@ -57,11 +58,11 @@ class ScratchPool {
                      false);
     }
     if (pieces_.empty() || pieces_.back().bytes() - used_ < bytes) {
+      constexpr std::size_t kLeast = std::size_t{1} << 20U;
+      pieces_.emplace_back(std::max(bytes, std::min(kLeast, whole)));
       // What is left of the piece before is lost until reset(), but not its share of the limit.
       held_before_ += used_;
       used_ = 0U;
-      constexpr std::size_t kLeast = std::size_t{1} << 20U;
-      pieces_.emplace_back(std::max(bytes, std::min(kLeast, whole)));
     }
     char* memory = pieces_.back().data() + used_;
     used_ += bytes;
@@ -70,14 +71,13 @@ class ScratchPool {
 
   /// Takes everything back. Nothing that uses it may still run.
   void reset() {
-    if (pieces_.size() > 1U) {
-      // One piece, as large as was needed, from now on.
-      const std::size_t needed = held_before_ + used_;
-      pieces_.clear();
-      pieces_.emplace_back(needed);
-    }
+    const std::size_t needed = held_before_ + used_;
     used_ = 0U;
     held_before_ = 0U;
+    if (pieces_.size() <= 1U) return;
+    // One piece, as large as was needed, from now on.
+    pieces_.clear();
+    pieces_.emplace_back(needed);
   }
   /// Gives the memory itself back.
   void clear() {

@@ -92,9 +92,12 @@ TEST_F(ScratchPoolTest, GivesNoMoreThanItsLimit) {
 
 TEST_F(ScratchPoolTest, GoesOnAfterThereWasNoMemory) {
   ScratchPool<CountedMemory> pool(64U * kMegabyte);
-  pool.take(kMegabyte);
+  char* before = pool.take(kMegabyte / 2U);
+  std::memset(before, 1, kMegabyte / 2U);
   CountedMemory::most = kMegabyte;
   EXPECT_THROW(pool.take(8U * kMegabyte), GpuError);
+  std::memset(pool.take(kMegabyte / 4U), 2, kMegabyte / 4U);
+  EXPECT_EQ(before[0], 1) << "handed out twice";
   CountedMemory::most = SIZE_MAX;
   EXPECT_NE(pool.take(8U * kMegabyte), nullptr);
 }
