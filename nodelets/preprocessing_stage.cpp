@@ -270,7 +270,7 @@ void PreprocessingStage::place(const sensor_msgs::PointCloud2ConstPtr& message,
     preprocessor_.setParameters(effectiveParameters());
   }
   noticeMapJump(message->header);
-  const ScanReport report = preprocessor_.addScan(scan, T_target_sensor);
+  const ScanReport report = preprocessor_.addScan(scan, T_target_sensor, device_);
   ++scans_added_;
   only_scan_ = scans_added_ == 1U ? message : nullptr;
   only_transform_ = T_target_sensor;
@@ -372,7 +372,7 @@ void PreprocessingStage::applyParameters() {
   }
   // One whole cloud comes only once: it is worked again, so that tuning shows its effect.
   emptyMap();
-  preprocessor_.addScan(scanOf(*only_scan_), only_transform_);
+  preprocessor_.addScan(scanOf(*only_scan_), only_transform_, device_);
 }
 
 PreprocessingParameters PreprocessingStage::effectiveParameters() const {
