@@ -39,8 +39,8 @@ class OwnedMemory {
 };
 
 /// Memory that is handed out in pieces and taken back all at once, for the next block to use again.
-/// It keeps what the largest block so far needed. At most `limit` bytes are handed out; while a block
-/// needs more than all before it, up to twice as much is held. Not thread-safe.
+/// It keeps what the largest block so far needed. At most `limit` bytes are handed out; while a
+/// block needs more than all before it, up to twice as much is held. Not thread-safe.
 template <class Memory>
 class ScratchPool {
  public:
