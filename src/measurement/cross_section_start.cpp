@@ -216,8 +216,9 @@ class CrossSectionSolver {
     evaluation.outliers += 1.0 - member;
     evaluation.score.noalias() += jacobian * score;
     addBend(ellipse, foot, point.z(), member, evaluation);
-    evaluation.observed.noalias() += jacobian * second * jacobian.transpose();
-    evaluation.expected.noalias() += jacobian * expected * jacobian.transpose();
+    // Eigen would take its kernel for large matrices.
+    evaluation.observed += (jacobian * second).eval().lazyProduct(jacobian.transpose());
+    evaluation.expected += (jacobian * expected).eval().lazyProduct(jacobian.transpose());
   }
 
   /// Noise along the surface moves a point away from where its motion was taken. Without this term

@@ -23,6 +23,7 @@ constexpr int kHalvings = 8;
 // in the first steps only, and moves the log-posterior by up to so much.
 constexpr int kSettling = 6;
 constexpr double kSlack = 1.0;
+constexpr double kRounding = 1e-3;    // of the log-posterior: bins that hardly count are left out
 constexpr double kMostLogStep = 3.0;  // of a share
 constexpr int kSectors = 12;          // patches that the covariance is checked on
 constexpr int kSlabs = 3;
@@ -144,7 +145,7 @@ SurfaceMixture::SurfaceMixture(const std::vector<Eigen::Vector3d>& points,
 template <typename Visitor>
 void SurfaceMixture::visitPoints(const CrossSectionVector& p, const Eigen::VectorXd& log_shares,
                                  const Visitor& visit) const {
-  constexpr double kNegligible = 16.0;  // of a log-likelihood
+  constexpr double kNegligible = 12.0;  // of a log-likelihood
   const auto bins = static_cast<int>(log_shares.size());
   const double noise = std::exp(p[kNoise]);
   const Precision precision(p);
@@ -349,7 +350,7 @@ bool SurfaceMixture::run(int steps) {
     shift *= std::min(1.0, kMostLogStep / std::max(shift.cwiseAbs().maxCoeff(), 1e-300));
     Evaluation next = evaluate(parameters_ + move, log_shares_ + shift);
     const bool settled = steps_ >= kSettling;
-    const double least = evaluation_.value - (settled ? 0.0 : kSlack);
+    const double least = evaluation_.value - (settled ? kRounding : kSlack);
     for (int halving = 0; !(next.value >= least) && halving < kHalvings; ++halving) {
       move *= 0.5;
       shift *= 0.5;
