@@ -54,6 +54,13 @@ double radiusAt(const CrossSectionVector& p, double height) {
   return std::max(radius, 0.1 * p[kRadius]);
 }
 
+SurfaceMotion surfaceMotion(const Eigen::Vector2d& u, const Eigen::Vector2d& direction) {
+  const Eigen::Vector2d& d = direction;
+  SurfaceMotion motion;
+  motion << d, u.dot(d), u.x() * d.x() - u.y() * d.y(), u.x() * d.y() + u.y() * d.x();
+  return motion;
+}
+
 void limitStep(const CrossSectionVector& parameters, CrossSectionVector& step) {
   const double radius = parameters[kRadius];
   const double length = std::max(

@@ -18,7 +18,6 @@ using Information = CrossSectionMatrix;
 constexpr int kSize = kCrossSectionSize;
 
 constexpr int kSteps = 15;
-constexpr int kNewtonSteps = 20;
 constexpr double kConverged = 1e-5;  // step, relative to the radius
 
 /// The ellipse at one height.
@@ -79,22 +78,15 @@ Foot footOf(const Ellipse& ellipse, const Eigen::Vector2d& offset) {
 using Local = Eigen::Vector3d;
 using LocalInformation = Eigen::Matrix3d;
 
-/// How far the surface moves along its normal at `foot` by a shift in x and y, by the radius, and
-/// by the two components of ellipticity.
-using Motion = Eigen::Matrix<double, 5, 1>;
-
-Motion motionAt(const Foot& foot) {
-  const Eigen::Vector2d& u = foot.direction;
-  const Eigen::Vector2d& n = foot.normal;
-  Motion motion;
-  motion << n, n.dot(u), n.x() * u.x() - n.y() * u.y(), n.x() * u.y() + n.y() * u.x();
-  return motion;
+/// How far the surface moves along its normal.
+SurfaceMotion motionAt(const Foot& foot) {
+  return surfaceMotion(foot.direction, foot.normal);
 }
 
 /// Second derivative of the motion along the ellipse.
-Motion secondDerivative(const Ellipse& ellipse, const Eigen::Vector2d& direction) {
+SurfaceMotion secondDerivative(const Ellipse& ellipse, const Eigen::Vector2d& direction) {
   constexpr double kStep = 0.1;  // [rad]
-  Motion value[3];
+  SurfaceMotion value[3];
   double speed[3];  // length of ellipse per angle
   for (int i = 0; i < 3; ++i) {
     const Eigen::Vector2d u = Eigen::Rotation2Dd(kStep * (i - 1)) * direction;
@@ -107,7 +99,7 @@ Motion secondDerivative(const Ellipse& ellipse, const Eigen::Vector2d& direction
          (kStep * kStep * speed[1]);
 }
 
-Eigen::Matrix<double, kSize, 3> jacobianOf(const Motion& motion, double height) {
+Eigen::Matrix<double, kSize, 3> jacobianOf(const SurfaceMotion& motion, double height) {
   Eigen::Matrix<double, kSize, 3> jacobian = Eigen::Matrix<double, kSize, 3>::Zero();
   jacobian.block<2, 1>(kCenter, 0) = motion.head<2>();
   jacobian.block<2, 1>(kTilt, 0) = height * motion.head<2>();
@@ -139,30 +131,23 @@ class CrossSectionSolver {
     evaluate();
   }
 
-  /// Up to `steps` scoring steps; true once nothing moves.
-  bool run(int steps) {
-    for (int i = 0; i < steps; ++i) {
-      // Scoring is slower than Newton's method but has no cycles.
-      Parameters step = i < kNewtonSteps ? newtonStep() : scoringStep();
-      if (!step.allFinite()) return false;
+  /// Up to kSteps steps, fewer once nothing moves.
+  void run() {
+    for (int i = 0; i < kSteps; ++i) {
+      Parameters step = newtonStep();
+      if (!step.allFinite()) return;
       limitStep(parameters_, step);
       parameters_ += step;
       evaluate();
       const double moved = step.segment<2>(kCenter).norm() + std::abs(step[kRadius]) +
                            step.segment<2>(kEllipse).norm();
-      if (moved < kConverged * parameters_[kRadius] && std::abs(step[kNoise]) < 1e-4) return true;
+      if (moved < kConverged * parameters_[kRadius] && std::abs(step[kNoise]) < 1e-4) return;
     }
-    return false;
   }
 
   double value() const { return evaluation_.value; }
   const Parameters& parameters() const { return parameters_; }
-  const Parameters& priorWeight() const { return prior_.weight; }
-  const Information& information() const { return evaluation_.observed; }
   double outlierShare() const { return outlier_share_; }
-  double surfacePoints() const { return count() - evaluation_.outliers; }
-  /// Points that the noise is known from, beyond those that the shape takes; its prior counts too.
-  double freedom() const { return surfacePoints() - fitted_ + 0.5 * prior_.weight[kNoise]; }
 
  private:
   double count() const { return static_cast<double>(points_->size()); }
@@ -210,7 +195,7 @@ class CrossSectionSolver {
     LocalInformation expected;
     expected << precision, precision, 0.0, precision, precision, 0.0, 0.0, 0.0, 2.0 * member;
 
-    const Motion motion = motionAt(foot);
+    const SurfaceMotion motion = motionAt(foot);
     const auto jacobian = jacobianOf(motion, point.z());
     evaluation.value += log_density;
     evaluation.outliers += 1.0 - member;
@@ -228,7 +213,7 @@ class CrossSectionSolver {
                Evaluation& evaluation) const {
     const double noise = std::exp(parameters_[kNoise]) / foot.radius;
     const double weight = 0.5 * noise * noise / (1.0 + noise * noise) * member;
-    const Motion bend =
+    const SurfaceMotion bend =
         weight * foot.flatness * foot.radius * secondDerivative(ellipse, foot.direction);
     evaluation.score.segment<2>(kCenter) += bend.head<2>();
     evaluation.score.segment<2>(kTilt) += height * bend.head<2>();
@@ -249,17 +234,16 @@ class CrossSectionSolver {
 
     // Residual maximum likelihood: the shape was fitted to the same points as the noise.
     const Information inverse = evaluation_.expected.llt().solve(Information::Identity());
-    fitted_ = kNoise - prior_.weight.head<kNoise>().dot(inverse.diagonal().head<kNoise>());
-    evaluation_.score[kNoise] += fitted_;
+    const double fitted =
+        kNoise - prior_.weight.head<kNoise>().dot(inverse.diagonal().head<kNoise>());
+    evaluation_.score[kNoise] += fitted;
   }
 
   Parameters newtonStep() const {
     const Eigen::LLT<Information> newton(evaluation_.observed);
     if (newton.info() == Eigen::Success) return newton.solve(evaluation_.score);
-    return scoringStep();
+    return evaluation_.expected.llt().solve(evaluation_.score);
   }
-
-  Parameters scoringStep() const { return evaluation_.expected.llt().solve(evaluation_.score); }
 
   const std::vector<Eigen::Vector3d>* points_;
   CrossSectionPrior given_;
@@ -268,7 +252,6 @@ class CrossSectionSolver {
   Parameters parameters_;
   Evaluation evaluation_;
   double outlier_share_ = 0.1;
-  double fitted_ = 0.0;  // parameters that the points, not the priors, decide
 };
 
 /// A circle round `center` through the middle of the points.
@@ -297,14 +280,14 @@ CrossSectionStart startCrossSection(const std::vector<Eigen::Vector3d>& points,
                                     const CrossSectionPrior& prior, const StemExtent& extent) {
   CrossSectionSolver best(points, prior, extent,
                           circleStart(points, Eigen::Vector2d::Zero(), prior));
-  best.run(kSteps);
+  best.run();
   std::vector<Eigen::Vector2d> flat;
   flat.reserve(points.size());
   for (const Eigen::Vector3d& point : points) flat.push_back(point.head<2>());
   const CircleFit guess = fitCircle(flat);
   if (guess.valid && guess.radius < 2.0 * extent.reach) {
     CrossSectionSolver other(points, prior, extent, circleStart(points, guess.center, prior));
-    other.run(kSteps);
+    other.run();
     if (!(other.value() <= best.value())) best = other;
   }
   return {best.parameters(), best.outlierShare()};

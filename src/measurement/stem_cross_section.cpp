@@ -147,9 +147,8 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
   covariance.col(kRadius) *= 1.0 + kPartArcExcess * unseen;
   limitRadius(solver.radiusPriorVariance(), covariance);
   limitEllipticity(shapeless, ellipse_variance, covariance);
-  const double noise = std::exp(p[kNoise]);
 
-  // 4. Traits.
+  // 3. Traits.
   result.valid = true;
   result.center = p.segment<2>(kCenter);
   result.tilt = p.segment<2>(kTilt);
@@ -159,7 +158,7 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
   };
   result.taper = relative(kTaper);
   result.taper_change = relative(kTaperChange);
-  result.noise = noise;
+  result.noise = std::exp(p[kNoise]);
   result.log_noise = {p[kNoise], std::sqrt(covariance(kNoise, kNoise))};
   result.ellipticity = p.segment<2>(kEllipse) / p[kRadius];
   result.ellipticity_stddev =

@@ -103,14 +103,10 @@ struct Candidates {
   LocalVector score;  // the mean
 };
 
-/// How a place in direction u moves, seen along `direction`, by a shift, by the radius and by
-/// ellipticity.
-Eigen::Matrix<double, kLocalShapeSize, 1> motionOf(const Eigen::Vector2d& u,
-                                                   const Eigen::Vector2d& direction) {
-  const Eigen::Vector2d& d = direction;
-  Eigen::Matrix<double, kLocalShapeSize, 1> motion;
-  motion << d, u.dot(d), u.x() * d.x() - u.y() * d.y(), u.x() * d.y() + u.y() * d.x();
-  return motion;
+/// The shares whose logarithms, up to a constant, are given.
+Eigen::VectorXd sharesOf(const Eigen::VectorXd& log_shares) {
+  const Eigen::VectorXd shares = (log_shares.array() - log_shares.maxCoeff()).exp();
+  return shares / shares.sum();
 }
 
 }  // namespace
@@ -196,7 +192,7 @@ void SurfaceMixture::visitPoints(const CrossSectionVector& p, const Eigen::Vecto
       const double along_square = along_pull * along[k];
       const double across_square = across_pull * across;
       LocalVector score;
-      score << motionOf(u, along_pull * u + across_pull * tangent),
+      score << surfaceMotion(u, along_pull * u + across_pull * tangent),
           along_square + across_square - 2.0, along_square - across_square;
       candidates.score += candidates.weights[j] * score;
       candidates.scores.push_back(score);
@@ -223,16 +219,15 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
   std::vector<LocalMatrix> stiffness;  // of the bins: how a place moves, twice
   for (Eigen::Index k = 0; k < bins; ++k) {
     const Eigen::Vector2d u = directions_.col(k);
-    const auto outward = motionOf(u, u);
-    const auto sideward = motionOf(u, Eigen::Vector2d(-u.y(), u.x()));
+    const auto outward = surfaceMotion(u, u);
+    const auto sideward = surfaceMotion(u, Eigen::Vector2d(-u.y(), u.x()));
     LocalMatrix both = LocalMatrix::Zero();
     both.topLeftCorner<kLocalShapeSize, kLocalShapeSize>() =
         precision.along * outward * outward.transpose() +
         precision.across * sideward * sideward.transpose();
     stiffness.push_back(both);
   }
-  Eigen::VectorXd shares = (log_shares.array() - log_shares.maxCoeff()).exp();
-  shares /= shares.sum();
+  const Eigen::VectorXd shares = sharesOf(log_shares);
   CrossSectionVector score = CrossSectionVector::Zero();
   CrossSectionMatrix complete = CrossSectionMatrix::Zero();
   CrossSectionMatrix missing = CrossSectionMatrix::Zero();
@@ -260,7 +255,7 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
       const Eigen::Vector2d u = directions_.col(k);
       const Eigen::Vector2d pull = c.scores[j].head<2>();
       const Eigen::Vector2d mirrored = 2.0 * u.dot(pull) * u - pull;
-      known.col(kLocalElongation).head<kLocalShapeSize>() += 2.0 * w * motionOf(u, mirrored);
+      known.col(kLocalElongation).head<kLocalShapeSize>() += 2.0 * w * surfaceMotion(u, mirrored);
       squares += w * (c.scores[j][kLocalNoise] + 2.0);
       difference += w * c.scores[j][kLocalElongation];
       second.noalias() += w * c.scores[j] * c.scores[j].transpose();
@@ -421,7 +416,7 @@ SurfaceMixture::Covariance SurfaceMixture::covariance() const {
     const Eigen::Vector2d u = directions_.col(k);
     const Eigen::Vector2d n = (shape.inverse() * u).normalized();
     LocalVector motion = LocalVector::Zero();
-    motion.head<kLocalShapeSize>() = motionOf(u, n);
+    motion.head<kLocalShapeSize>() = surfaceMotion(u, n);
     informations.push_back(precision.along * motion * motion.transpose());
   }
   CrossSectionMatrix bound = prior_.weight.asDiagonal();
@@ -430,8 +425,7 @@ SurfaceMixture::Covariance SurfaceMixture::covariance() const {
       points_->begin(), points_->end(),
       [](const Eigen::Vector3d& a, const Eigen::Vector3d& b) { return a.z() < b.z(); });
   const double slab = std::max(high->z() - low->z(), 1e-9) / kSlabs;
-  Eigen::VectorXd shares = (log_shares_.array() - log_shares_.maxCoeff()).exp();
-  shares /= shares.sum();
+  const Eigen::VectorXd shares = sharesOf(log_shares_);
   Eigen::MatrixXd patches = Eigen::MatrixXd::Zero(size, kSectors * kSlabs);
   visitPoints(parameters_, log_shares_, [&](const Eigen::Vector3d& point, const Candidates& c) {
     const Eigen::Vector2d offset = point.head<2>() - centerAt(parameters_, point.z());

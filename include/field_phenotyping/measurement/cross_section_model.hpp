@@ -33,6 +33,12 @@ Eigen::Vector2d centerAt(const CrossSectionVector& parameters, double height);
 /// At least a tenth of that at height 0, whatever the taper.
 double radiusAt(const CrossSectionVector& parameters, double height);
 
+/// How far a place of the surface moves along a direction by a shift in x and y, by the radius, and
+/// by the two components of ellipticity.
+using SurfaceMotion = Eigen::Matrix<double, 5, 1>;
+/// @param u the place, as the unit vector of its parameter
+SurfaceMotion surfaceMotion(const Eigen::Vector2d& u, const Eigen::Vector2d& direction);
+
 /// Keeps a step within what a local quadratic model can be trusted for.
 void limitStep(const CrossSectionVector& parameters, CrossSectionVector& step);
 

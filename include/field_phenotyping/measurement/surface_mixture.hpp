@@ -21,8 +21,8 @@ namespace field_phenotyping {
 ///
 /// Newton's method on all parameters and shares at once, with the observed information of Louis
 /// (1982), else a step of expectation maximisation; each step raises the posterior. The noise is
-/// found by residual maximum likelihood. Not for noise below kFinest of the radius, where bins
-/// would have to be too many, and blurred ends do not matter.
+/// found by residual maximum likelihood. Bins are no finer than kFinest of the radius needs:
+/// thinner noise is found too large, up to half of that.
 ///
 /// Not thread-safe; deterministic. Refers to the points, which must outlive it.
 class SurfaceMixture {
