@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <numeric>
 #include <optional>
@@ -468,6 +469,12 @@ Pose poseOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment)
   return pose;
 }
 
+/// What leaves are compared with.
+struct Host {
+  const StemAxis* axis = nullptr;
+  float top = 0.0F;  // [m] height of the highest point of the stem and of what carries it on
+};
+
 /// Form of the leaves of a stand, by the distance from their stem and by height. Maize leaves stay
 /// in a vertical plane through their own stem, rise steeply from it and flatten, then droop; the
 /// upper ones stand more upright. How much depends on age and variety, so it is learnt from the
@@ -489,14 +496,19 @@ class LeafForm {
   }
 
   /// The form of the organs that have an owner; robust against a minority of wrong ones.
-  static LeafForm learn(const Cells& cells, const std::vector<StemAxis>& axes) {
+  static LeafForm learn(const Cells& cells, const std::vector<Host>& hosts) {
     constexpr float kLeastLinearity = 0.3F;
+    std::vector<std::vector<float>> rises(hosts.size());  // [m]
     Samples whole;
     std::array<Samples, kBands> samples;
     for (std::uint32_t n = 0; n < cells.size(); ++n) {
       if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
+      const auto plant = static_cast<std::size_t>(cells.owner[n]);
+      const StemAxis& axis = *hosts[plant].axis;
+      if (isBeside(cells.centers[n], hosts[plant])) {
+        rises[plant].push_back(cells.centers[n].z() - hosts[plant].top);
+      }
       if (cells.shapes[n].linearity < kLeastLinearity) continue;
-      const StemAxis& axis = axes[static_cast<std::size_t>(cells.owner[n])];
       std::size_t segment = 0U;
       const OrganLanes organ = lanesOf(cells.shapes[n], cells.centers[n]);
       const Pose pose = poseOf(organ, axis, segment);
@@ -512,26 +524,63 @@ class LeafForm {
     for (std::size_t band = 0; band < kBands; ++band) {
       form.bands_[band] = profileOf(samples[band], usual);
     }
+    form.learnRise(std::move(rises));
     return form;
   }
 
   /// How little a place on an organ looks like one of the plant with that axis, from 0. Leaves that
   /// cross from a neighbour point past the stem and rise the wrong way.
-  float misfit(const LocalShape& shape, const Eigen::Vector3f& center, const StemAxis& axis) const {
+  float misfit(const LocalShape& shape, const Eigen::Vector3f& center, const Host& host) const {
     std::size_t segment = 0U;
-    return misfitOf(lanesOf(shape, center), axis, segment)[0];
+    return misfitOf(lanesOf(shape, center), *host.axis, segment)[0];
+  }
+  /// How much too high a place stands to be an organ of that plant, from 0: leaves and side
+  /// branches rise above the tops of stems, or stay below them, about alike all over a stand.
+  float tooHigh(const Eigen::Vector3f& place, const Host& host) const {
+    constexpr float kWeight = 2.0F;  // of a squared standard deviation
+    constexpr float kTail = 0.5F;    // a top that was not found is no more than odd
+    if (!rise_ || place.z() <= host.top + *rise_ || !isBeside(place, host)) return 0.0F;
+    const float off = (place.z() - host.top - *rise_) / rise_spread_;
+    return kWeight * off * off / (1.0F + kTail * off * off);
   }
   /// The sum over samples of one piece.
-  float misfit(const PieceSamples& samples, const StemAxis& axis) const {
+  float misfit(const PieceSamples& samples, const Host& host) const {
     std::size_t segment = 0U;
     Floats sum{};
     for (std::size_t k = 0; k < samples.size(); k += kLanes) {
-      sum += misfitOf(samples.lanesFrom(k), axis, segment);
+      sum += misfitOf(samples.lanesFrom(k), *host.axis, segment);
     }
     return total(sum);
   }
 
  private:
+  /// Whether a place is too far from the stem to be its own spike, found or not.
+  static bool isBeside(const Eigen::Vector3f& place, const Host& host) {
+    constexpr float kSpike = 0.08F;  // [m] with its bend
+    const Eigen::Vector3f foot = host.axis->pointAtHeight(place.z());
+    return (place - foot).head<2>().squaredNorm() > kSpike * kSpike;
+  }
+
+  /// @param rises of each plant's organs beside the stem above its top [m]
+  void learnRise(std::vector<std::vector<float>> rises) {
+    constexpr std::size_t kStray = 3U;     // cells of a plant that may be another's
+    constexpr std::size_t kLeaves = 50U;   // cells of a plant that shows its leaves
+    constexpr std::size_t kPlants = 5U;    // that make a stand
+    constexpr float kLeastSpread = 0.03F;  // [m]
+    constexpr float kStddevOfMad = 1.48F;
+    std::vector<float> highest;
+    for (std::vector<float>& of_plant : rises) {
+      if (of_plant.size() < kLeaves) continue;
+      const auto high = of_plant.begin() + kStray;
+      std::nth_element(of_plant.begin(), high, of_plant.end(), std::greater<>());
+      highest.push_back(*high);
+    }
+    if (highest.size() < kPlants) return;
+    rise_ = medianOf(highest);
+    for (float& rise : highest) rise = std::abs(rise - *rise_);
+    rise_spread_ = std::max(kLeastSpread, kStddevOfMad * medianOf(highest));
+  }
+
   Floats misfitOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment) const {
     const Pose pose = poseOf(organ, axis, segment);
     if (!anyOf(pose.known)) return Floats{};
@@ -602,6 +651,8 @@ class LeafForm {
   }
 
   std::array<Profile, kBands> bands_;
+  std::optional<float> rise_;  // [m] of the highest organ above the top, by which plants differ...
+  float rise_spread_ = 0.0F;   // [m] ...with this standard deviation
 };
 
 // ---------------------------------------------------------------------------- pieces to plants
@@ -624,20 +675,20 @@ struct Misfit {
 /// For every plant the pieces that stand near enough to be its own. What no plant explains well,
 /// because it is bent or small, is so held against none of them, nor against what hangs on it.
 std::vector<std::vector<Misfit>> compareForms(const Cells& cells, const Pieces& pieces,
-                                              const std::vector<StemAxis>& axes,
-                                              const LeafForm& form, float weight) {
+                                              const std::vector<Host>& hosts, const LeafForm& form,
+                                              float weight) {
   constexpr float kFarthest = 1.2F;      // [m] a leaf, and what its stem leans
   constexpr float kWholeCells = 30.0F;   // a piece of so many has its full say
   constexpr std::size_t kSamples = 64U;  // cells that show the form of a piece
   const auto level = [](const Eigen::Vector3f& p) { return Eigen::Vector3f(p.x(), p.y(), 0.0F); };
-  std::vector<std::uint8_t> has_stem(axes.size(), 0U);
+  std::vector<std::uint8_t> has_stem(hosts.size(), 0U);
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (cells.is_stem[n] != 0U) has_stem[static_cast<std::size_t>(cells.owner[n])] = 1U;
   }
   std::vector<Eigen::Vector3f> feet;
-  for (const StemAxis& axis : axes) feet.push_back(level(axis.nodes().front().position));
+  for (const Host& host : hosts) feet.push_back(level(host.axis->nodes().front().position));
   const NeighborGrid grid(feet, 0.5F * kFarthest);
-  std::vector<std::vector<Misfit>> misfits(axes.size());
+  std::vector<std::vector<Misfit>> misfits(hosts.size());
   std::vector<std::pair<std::uint32_t, float>> of_plants;
   PieceSamples samples;
   for (std::uint32_t piece = 0; piece < pieces.cells.size(); ++piece) {
@@ -652,7 +703,14 @@ std::vector<std::vector<Misfit>> compareForms(const Cells& cells, const Pieces& 
     grid.forEachWithin(level(cells.centers[members[members.size() / 2U]]), kFarthest,
                        [&](std::uint32_t plant, float) {
                          if (has_stem[plant] == 0U) return;
-                         const float cost = share * form.misfit(samples, axes[plant]);
+                         const Host& host = hosts[plant];
+                         // However small, what stands too high cannot be the plant's.
+                         float high = 0.0F;
+                         for (std::size_t k = 0; k < members.size(); k += stride) {
+                           high += form.tooHigh(cells.centers[members[k]], host);
+                         }
+                         const float cost = share * form.misfit(samples, host) +
+                                            weight * high / static_cast<float>(samples.size());
                          of_plants.emplace_back(plant, cost);
                          least = std::min(least, cost);
                        });
@@ -746,23 +804,23 @@ void settlePieces(const std::vector<std::vector<Misfit>>& costs,
 /// plant with the cheapest way has it; `settle` then gives pieces that continue one another away
 /// together, which is of use only once the form is known.
 void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vector<Link>>& links,
-                  const std::vector<StemAxis>& axes, float reach, const LeafForm& form,
+                  const std::vector<Host>& hosts, float reach, const LeafForm& form,
                   float misfit_weight, bool settle) {
   constexpr float kMostCost = 60.0F;
   constexpr float kGapScale = 0.04F;  // [m] of gap between a stem and its leaf that costs 1
   constexpr float kNone = std::numeric_limits<float>::max();
   const std::size_t count = pieces.cells.size();
   const std::vector<std::vector<Misfit>> misfits_of =
-      compareForms(cells, pieces, axes, form, misfit_weight);
+      compareForms(cells, pieces, hosts, form, misfit_weight);
   const NeighborGrid grid(cells.centers, reach);
   std::vector<float> least(count, kNone);
   std::vector<std::int32_t> plant_of(count, -1);
   std::vector<float> cost(count, kNone);
   std::vector<float> start(count, kNone);    // at the stem
   std::vector<float> misfits(count, kNone);  // of pieces near the plant
-  std::vector<std::vector<Misfit>> costs_of(axes.size());
-  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
-    const StemAxis& axis = axes[plant];
+  std::vector<std::vector<Misfit>> costs_of(hosts.size());
+  for (std::size_t plant = 0; plant < hosts.size(); ++plant) {
+    const StemAxis& axis = *hosts[plant].axis;
     if (misfits_of[plant].empty()) continue;
     for (const Misfit& misfit : misfits_of[plant]) misfits[misfit.piece] = misfit.cost;
 
@@ -781,8 +839,8 @@ void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vec
         const float gap = std::max(0.0F, away - radius);
         if (gap >= kGapScale * start[piece]) return;
         if (gap > kNearReach && cells.is_low[n] != 0U) return;
-        start[piece] =
-            std::min(start[piece], gap / kGapScale + form.misfit(cells.shapes[n], center, axis));
+        start[piece] = std::min(
+            start[piece], gap / kGapScale + form.misfit(cells.shapes[n], center, hosts[plant]));
       });
     }
 
@@ -843,7 +901,7 @@ float stepCost(const Cells& cells, std::uint32_t from, std::uint32_t to, float s
 }
 
 /// Shortest paths from all cells with an owner to those without; a path may step `reach` at most.
-void growPaths(Cells& cells, const std::vector<StemAxis>& axes, const LeafForm& form, float reach,
+void growPaths(Cells& cells, const std::vector<Host>& hosts, const LeafForm& form, float reach,
                bool only_tall) {
   constexpr float kLeastMisfit = 0.1F;  // what a step costs through an organ that fits its plant
   const NeighborGrid grid(cells.centers, reach);
@@ -868,7 +926,7 @@ void growPaths(Cells& cells, const std::vector<StemAxis>& axes, const LeafForm& 
     open.pop();
     if (entry.cost > cost[entry.node]) continue;
     const std::int32_t plant = cells.owner[entry.node];
-    const StemAxis& axis = axes[static_cast<std::size_t>(plant)];
+    const Host& host = hosts[static_cast<std::size_t>(plant)];
     grid.forEachWithin(cells.centers[entry.node], reach, [&](std::uint32_t next, float squared) {
       if (cost[next] <= entry.cost) return;
       const float step = stepCost(cells, entry.node, next, squared);
@@ -876,7 +934,8 @@ void growPaths(Cells& cells, const std::vector<StemAxis>& axes, const LeafForm& 
       auto& [of_plant, misfit] = misfits[next];
       if (of_plant != plant) {
         of_plant = plant;
-        misfit = form.misfit(cells.shapes[next], cells.centers[next], axis);
+        misfit = form.misfit(cells.shapes[next], cells.centers[next], host) +
+                 form.tooHigh(cells.centers[next], host);
       }
       const float through = entry.cost + step * (kLeastMisfit + misfit);
       if (through >= cost[next]) return;
@@ -910,6 +969,21 @@ float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
   return off.empty() ? 0.0F : kNormal * medianOf(off);
 }
 
+/// @param owner of each point: the plant whose stem, or what carries that on, holds it, or -1
+std::vector<Host> hostsOf(const Block& block, const std::vector<StemAxis>& axes,
+                          const std::vector<std::int32_t>& owner) {
+  std::vector<Host> hosts;
+  for (const StemAxis& axis : axes) {
+    hosts.push_back({&axis, axis.empty() ? 0.0F : axis.nodes().back().position.z()});
+  }
+  for (std::size_t i = 0; i < owner.size(); ++i) {
+    if (owner[i] < 0) continue;
+    float& top = hosts[static_cast<std::size_t>(owner[i])].top;
+    top = std::max(top, block.cloud.points[i].z());
+  }
+  return hosts;
+}
+
 }  // namespace
 
 std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
@@ -920,6 +994,7 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   const auto reach = static_cast<float>(parameters.organ_reach);
   const float noise = noiseOf(block, axes, owner);
   followStemsUp(block, axes, noise, owner);
+  const std::vector<Host> hosts = hostsOf(block, axes, owner);
   Cells cells = gatherCells(block, owner, shapeRadius(noise), device);
   const Pieces pieces = findPieces(cells, noise);
   constexpr float kStraightOn = 1.6F;  // of the reach, along a leaf
@@ -928,13 +1003,13 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   constexpr float kLooseWeight = 5.0F;
   constexpr float kFirmWeight = 15.0F;
   LeafForm form;
-  assignPieces(cells, pieces, links, axes, 2.0F * reach, form, kLooseWeight, false);
-  form = LeafForm::learn(cells, axes);
-  assignPieces(cells, pieces, links, axes, 2.0F * reach, form, kFirmWeight, true);
+  assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kLooseWeight, false);
+  form = LeafForm::learn(cells, hosts);
+  assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kFirmWeight, true);
   // Crossings, margins and what is too small or rough to be a piece.
-  growPaths(cells, axes, form, std::min(kNearReach, reach), false);
+  growPaths(cells, hosts, form, std::min(kNearReach, reach), false);
   // Gaps that leaves in front have torn; not near the soil, where weeds stand as close.
-  if (reach > kNearReach) growPaths(cells, axes, form, reach, true);
+  if (reach > kNearReach) growPaths(cells, hosts, form, reach, true);
   for (std::size_t i = 0; i < owner.size(); ++i) {
     if (owner[i] < 0) owner[i] = cells.owner[cells.of_point[i]];
   }

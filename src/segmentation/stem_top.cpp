@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <optional>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
@@ -216,26 +217,36 @@ double sumOf(const std::vector<double>& counts, std::size_t from, std::size_t to
                          counts.begin() + static_cast<std::ptrdiff_t>(to), 0.0);
 }
 
-/// Where the tassel's side branches begin: a bare stretch of stem below, and above it points all
-/// round. `occupied` if there is no such place near the end of the axis.
-double tasselBase(const std::vector<Place>& places, double occupied) {
+/// Where a tassel's side branches begin, and the logarithm of how many more points there are in
+/// the ring above that place than below.
+struct TasselBase {
+  double at;
+  double log_contrast;
+};
+
+double logContrast(const Rings& rings, std::size_t step) {
+  const double below = sumOf(rings.counts, step - kWindow, step);
+  const double above = sumOf(rings.counts, step, step + kWindow);
+  return std::log((above + 1.0) / (below + 1.0));
+}
+
+/// A bare stretch of stem below, and above it points all round; none if there is no such place near
+/// the end of the axis.
+std::optional<TasselBase> clearTasselBase(const Rings& rings, double occupied) {
   constexpr double kLeastStem = 0.6;           // of stem and tassel together
   constexpr double kShortest = 0.13;           // [m] of a tassel
   constexpr std::size_t kBranchedSteps = 16U;  // that side branches come out of the skin in
   constexpr double kMostBeyond = 0.35;         // points above them, of what the branches show
   constexpr double kSamePlace = 0.10;          // [m]
   constexpr double kLeastPoints = 6.0;
-  const Rings rings = countRings(places, occupied);
   const std::size_t steps = rings.counts.size();
   // From the top down: the last such place is the tassel's, those below are ears' and leaves'.
-  double best = kLeastContrast;
-  double base = occupied;
+  std::optional<TasselBase> base;
   for (std::size_t k = steps - std::min(steps, kWindow); k >= kWindow; --k) {
     const double at = static_cast<double>(k) * kRingStep;
     if (at > occupied - kShortest) continue;
     if (at < std::max(occupied - kLongest, kLeastStem * occupied)) break;
-    if (best > kLeastContrast && at < base - kSamePlace) break;
-    const double below = sumOf(rings.counts, k - kWindow, k);
+    if (base && at < base->at - kSamePlace) break;
     const double above = sumOf(rings.counts, k, k + kWindow);
     if (above < kLeastPoints || !branchesAllRound(rings, k, k + kWindow, above)) continue;
     // Beyond its branches the tassel is a bare spike; leaves go on.
@@ -244,34 +255,46 @@ double tasselBase(const std::vector<Place>& places, double occupied) {
       most_beyond = std::max(most_beyond, sumOf(rings.counts, j, j + kWindow));
     }
     if (most_beyond > kMostBeyond * above) continue;
-    const double contrast = (above + 1.0) / (below + 1.0);
-    if (contrast <= best) continue;
-    best = contrast;
-    base = at - kEmergence;
+    const double log_contrast = logContrast(rings, k);
+    if (log_contrast > (base ? base->log_contrast : std::log(kLeastContrast))) {
+      base = TasselBase{at - kEmergence, log_contrast};
+    }
   }
   return base;
 }
 
-/// The same where a stem alone shows no such place where the stand would have it: hidden side
-/// branches show on one side only, and leaves reach up to them.
-double likelyTasselBase(const std::vector<Place>& places, double occupied,
-                        const StandLength& stand) {
+/// Where the stand would have such a place: hidden side branches show on one side only, and leaves
+/// reach up to them.
+TasselBase likelyTasselBase(const Rings& rings, double occupied, const StandLength& stand) {
   constexpr double kShortest = 0.06;  // [m] of a tassel, of which little may show
-  const Rings rings = countRings(places, occupied);
-  const std::size_t steps = rings.counts.size();
-  double best = std::log(kLeastContrast) + stand.logPrior(occupied);
-  double base = occupied;
-  for (std::size_t k = kWindow; k + kWindow <= steps; ++k) {
+  TasselBase base{occupied, std::log(kLeastContrast)};
+  double best = base.log_contrast + stand.logPrior(occupied);
+  for (std::size_t k = kWindow; k + kWindow <= rings.counts.size(); ++k) {
     const double at = static_cast<double>(k) * kRingStep - kEmergence;
     if (at < occupied - kLongest || at > occupied - kShortest) continue;
-    const double below = sumOf(rings.counts, k - kWindow, k);
-    const double above = sumOf(rings.counts, k, k + kWindow);
-    const double score = std::log((above + 1.0) / (below + 1.0)) + stand.logPrior(at);
+    const double log_contrast = logContrast(rings, k);
+    const double score = log_contrast + stand.logPrior(at);
     if (score <= best) continue;
     best = score;
-    base = at;
+    base = {at, log_contrast};
   }
   return base;
+}
+
+/// Where the tassel begins; `occupied` where nothing shows one.
+double tasselBase(const std::vector<Place>& places, double occupied, const StandLength& stand) {
+  const Rings rings = countRings(places, occupied);
+  const std::optional<TasselBase> clear = clearTasselBase(rings, occupied);
+  if (!stand.known()) return clear ? clear->at : occupied;
+  const TasselBase likely = likelyTasselBase(rings, occupied, stand);
+  // What is all round a stem is rarely but a tassel; where no stem of the stand ends, ears or
+  // leaves.
+  constexpr double kAllRound = 1.0;  // log odds
+  const auto score = [&](const TasselBase& base) {
+    return base.log_contrast + stand.logPrior(base.at);
+  };
+  if (clear && score(*clear) + kAllRound > score(likely)) return clear->at;
+  return stand.likelyLength(likely.at);
 }
 
 /// As findStemTop().
@@ -285,10 +308,7 @@ double topAmong(const std::vector<Place>& places, const StemAxis& axis, double l
     });
     return stand.likelyLength(likely - claspBelow(likely, axis));
   }
-  // What a tassel shows clearly needs no stand.
-  const double base = tasselBase(places, occupied);
-  if (!stand.known() || base < occupied) return base;
-  return stand.likelyLength(likelyTasselBase(places, occupied, stand));
+  return tasselBase(places, occupied, stand);
 }
 
 }  // namespace

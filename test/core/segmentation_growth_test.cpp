@@ -829,6 +829,23 @@ TEST(StemTop, AsTheStandsWhereTheTasselShowsOnOneSideOnly) {
   EXPECT_NEAR(findStemTop(points, allOf(points), midline, stand), 1.2F, 0.05F);
 }
 
+TEST(StemTop, NotAtLeavesAllRoundWhereNoStemOfTheStandEnds) {
+  // As there, but leaves leave the stem all round lower down, as a tassel's branches do.
+  Points points = surfaceOf(verticalAxis(1.55F, 0.009F), 1400U, 0.002, 2.0 * M_PI, 26U);
+  addBranches(points, 0.97F, 1.03F, 7, 26U);
+  addBranches(points, 1.2F, 1.3F, 2, 27U);
+  Midline midline;
+  midline.axis = verticalAxis(1.6F, 0.009F);
+  midline.spread = 0.002F;
+  EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.97F, 0.05F);
+  StandLength stand;
+  stand.typical = 1.22;
+  stand.spread = 0.05;
+  stand.excess = 0.3;
+  stand.excess_share = 0.1;
+  EXPECT_NEAR(findStemTop(points, allOf(points), midline, stand), 1.2F, 0.05F);
+}
+
 TEST(StemTop, ShortStemsOfATallStandStayShort) {
   Points points = surfaceOf(verticalAxis(0.9F, 0.009F), 900U, 0.002, 2.0 * M_PI, 25U);
   Midline midline;

@@ -458,16 +458,25 @@ TEST(StemSeeds, DensityFindsWhatShowsNoShape) {
 
 // ---------------------------------------------------------------------------- organs
 
-/// Two upright stems 0.6 m apart, and what lies between them.
-class Organs : public ::testing::Test {
+/// Upright stems in a row along x, and what lies between them.
+class OrgansOfARow : public ::testing::Test {
  protected:
-  Organs() {
-    for (const float x : {-0.3F, 0.3F}) {
-      for (int k = 0; k < 400; ++k) {
+  struct Stem {
+    float x;
+    float height;
+  };
+
+  explicit OrgansOfARow(const std::vector<Stem>& stems) {
+    for (const Stem& stem : stems) {
+      const auto plant = static_cast<std::int32_t>(axes_.size());
+      axes_.emplace_back(
+          StemAxis({{{stem.x, 0.0F, 0.0F}, 0.01F}, {{stem.x, 0.0F, stem.height}, 0.01F}}));
+      for (int k = 0; 0.003F * static_cast<float>(k) < stem.height; ++k) {
         const float angle = 2.4F * static_cast<float>(k);
         const Eigen::Vector3f around(0.01F * std::cos(angle), 0.01F * std::sin(angle), 0.0F);
-        points_.emplace_back(Eigen::Vector3f(x, 0.0F, 0.003F * static_cast<float>(k)) + around);
-        owner_.push_back(x < 0.0F ? 0 : 1);
+        points_.emplace_back(Eigen::Vector3f(stem.x, 0.0F, 0.003F * static_cast<float>(k)) +
+                             around);
+        owner_.push_back(plant);
       }
     }
   }
@@ -493,11 +502,7 @@ class Organs : public ::testing::Test {
   void assign(double reach = 0.10) {
     SegmentationParameters parameters;
     parameters.organ_reach = reach;
-    std::vector<StemAxis> axes;
-    for (const float x : {-0.3F, 0.3F}) {
-      axes.emplace_back(StemAxis({{{x, 0.0F, 0.0F}, 0.01F}, {{x, 0.0F, 1.2F}, 0.01F}}));
-    }
-    assigned_ = assignOrgans(blockOfPoints(points_), axes, owner_, parameters);
+    assigned_ = assignOrgans(blockOfPoints(points_), axes_, owner_, parameters);
     ASSERT_EQ(assigned_.size(), owner_.size());
     for (std::size_t i = 0; i < owner_.size(); ++i) {
       if (owner_[i] >= 0) {
@@ -512,9 +517,16 @@ class Organs : public ::testing::Test {
            span.size();
   }
 
+  std::vector<StemAxis> axes_;
   std::vector<Eigen::Vector3f> points_;
   std::vector<std::int32_t> owner_;
   std::vector<std::int32_t> assigned_;
+};
+
+/// Two of them, 0.6 m apart.
+class Organs : public OrgansOfARow {
+ protected:
+  Organs() : OrgansOfARow({{-0.3F, 1.2F}, {0.3F, 1.2F}}) {}
 };
 
 TEST_F(Organs, LeavesGoToTheStemTheyRiseFrom) {
@@ -556,6 +568,37 @@ TEST_F(Organs, WhatNoStemReachesIsNobodys) {
   assign();
   EXPECT_EQ(shareOf(bird, -1), 1.0);
   EXPECT_EQ(shareOf(weed, -1), 1.0);
+}
+
+/// A stand whose leaves stay 15 cm below the tops of their stems; the plant in the middle is short.
+class OrgansOfAStand : public OrgansOfARow {
+ protected:
+  static constexpr int kShort = 3;
+
+  OrgansOfAStand() : OrgansOfARow(stems()) {
+    for (const Stem& stem : stems()) {
+      for (const float side : {-1.0F, 1.0F}) {
+        addRibbon({stem.x, side * 0.01F, stem.height - 0.45F},
+                  {stem.x, side * 0.20F, stem.height - 0.15F});
+      }
+    }
+  }
+
+  static std::vector<Stem> stems() {
+    std::vector<Stem> stems;
+    for (int k = 0; k < 7; ++k) {
+      stems.push_back({0.25F * static_cast<float>(k), k == kShort ? 1.2F : 1.6F});
+    }
+    return stems;
+  }
+};
+
+TEST_F(OrgansOfAStand, WhatHangsAboveAShortPlantIsATallNeighbours) {
+  // By its slope and its distance it would be the short plant's.
+  const float x = stems()[kShort].x;
+  const IndexSpan torn = addRibbon({x + 0.09F, 0.0F, 1.28F}, {x + 0.15F, 0.0F, 1.37F});
+  assign(0.20);
+  EXPECT_EQ(shareOf(torn, kShort), 0.0);
 }
 
 TEST_F(Organs, NoStemsAndNoPoints) {

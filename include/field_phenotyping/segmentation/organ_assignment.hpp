@@ -15,7 +15,8 @@ namespace field_phenotyping {
 /// Leaves are taken in pieces that run on smoothly, through crossings where they foretell it. A
 /// piece goes to one plant as a whole: to the one that gets at it, from the stem or through pieces
 /// that it continues, with the fewest and straightest gaps and through the best fitting pieces.
-/// What fits is learnt from the block: leaves point at their stem, rise from it, flatten and droop.
+/// What fits is learnt from the block: leaves point at their stem, rise from it, flatten and droop,
+/// and how far above the tops of their stems they reach.
 /// A piece counts by how much worse it fits one plant than the one that it fits best.
 /// Then every plant in turn takes the pieces that make it and all links between pieces of two
 /// plants cost least (alpha expansion: Boykov, Veksler and Zabih, 2001). What carries on a stem

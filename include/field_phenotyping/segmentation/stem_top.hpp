@@ -15,8 +15,8 @@ namespace field_phenotyping {
 /// it: the cut parts bands that have a stem's number of points from bands that have no more than
 /// the leaves beside it would put there. Or the tassel begins: its spike continues the stem, but
 /// its side branches leave it all round, above a bare stretch, and nothing comes after them. Of
-/// several such places the highest is the tassel's, the others are ears'. Gives
-/// midline.axis.length() where neither is found.
+/// several such places the highest is the tassel's, the others are ears'; where a stand is known,
+/// it must be a place where its stems end. Gives midline.axis.length() where neither is found.
 ///
 /// @param points  local frame [m]
 /// @param members indices of the points near the midline, leaf points included
