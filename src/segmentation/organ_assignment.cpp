@@ -524,7 +524,7 @@ class LeafForm {
     for (std::size_t band = 0; band < kBands; ++band) {
       form.bands_[band] = profileOf(samples[band], usual);
     }
-    form.learnRise(std::move(rises));
+    form.learnCeiling(std::move(rises));
     return form;
   }
 
@@ -534,13 +534,13 @@ class LeafForm {
     std::size_t segment = 0U;
     return misfitOf(lanesOf(shape, center), *host.axis, segment)[0];
   }
-  /// How much too high a place stands to be an organ of that plant, from 0: leaves and side
-  /// branches rise above the tops of stems, or stay below them, about alike all over a stand.
+  /// How much too high a place stands to be an organ of that plant, from 0. In a stand with tassels
+  /// leaves and side branches stay below the tops of their stems, by about as much everywhere.
   float tooHigh(const Eigen::Vector3f& place, const Host& host) const {
     constexpr float kWeight = 2.0F;  // of a squared standard deviation
     constexpr float kTail = 0.5F;    // a top that was not found is no more than odd
-    if (!rise_ || place.z() <= host.top + *rise_ || !isBeside(place, host)) return 0.0F;
-    const float off = (place.z() - host.top - *rise_) / rise_spread_;
+    if (!ceiling_ || place.z() <= host.top + *ceiling_ || !isBeside(place, host)) return 0.0F;
+    const float off = (place.z() - host.top - *ceiling_) / rise_spread_;
     return kWeight * off * off / (1.0F + kTail * off * off);
   }
   /// The sum over samples of one piece.
@@ -562,7 +562,7 @@ class LeafForm {
   }
 
   /// @param rises of each plant's organs beside the stem above its top [m]
-  void learnRise(std::vector<std::vector<float>> rises) {
+  void learnCeiling(std::vector<std::vector<float>> rises) {
     constexpr std::size_t kStray = 3U;     // cells of a plant that may be another's
     constexpr std::size_t kLeaves = 50U;   // cells of a plant that shows its leaves
     constexpr std::size_t kPlants = 5U;    // that make a stand
@@ -576,9 +576,12 @@ class LeafForm {
       highest.push_back(*high);
     }
     if (highest.size() < kPlants) return;
-    rise_ = medianOf(highest);
-    for (float& rise : highest) rise = std::abs(rise - *rise_);
+    const float typical = medianOf(highest);
+    for (float& rise : highest) rise = std::abs(rise - typical);
     rise_spread_ = std::max(kLeastSpread, kStddevOfMad * medianOf(highest));
+    // Without tassels the top is no more than the leaf that was followed highest.
+    constexpr float kSpreads = 2.0F;  // that hardly a plant's leaves exceed
+    if (typical < -rise_spread_) ceiling_ = typical + kSpreads * rise_spread_;
   }
 
   Floats misfitOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment) const {
@@ -651,8 +654,8 @@ class LeafForm {
   }
 
   std::array<Profile, kBands> bands_;
-  std::optional<float> rise_;  // [m] of the highest organ above the top, by which plants differ...
-  float rise_spread_ = 0.0F;   // [m] ...with this standard deviation
+  std::optional<float> ceiling_;  // [m] above the top, for organs beside the stem
+  float rise_spread_ = 0.0F;      // [m] standard deviation, over plants, of their highest organ
 };
 
 // ---------------------------------------------------------------------------- pieces to plants
