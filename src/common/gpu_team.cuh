@@ -29,6 +29,7 @@ struct GpuLanes : ThreadLanes {
 
 /// A thread block as a team (see team.hpp). Its number of threads must be a multiple of 32.
 struct GpuTeam {
+  static constexpr bool kAlone = false;
   FIELD_PHENOTYPING_HD static unsigned rank() { return FIELD_PHENOTYPING_ON_GPU(threadIdx.x, 0U); }
   FIELD_PHENOTYPING_HD static unsigned size() { return FIELD_PHENOTYPING_ON_GPU(blockDim.x, 1U); }
   FIELD_PHENOTYPING_HD static void sync() { FIELD_PHENOTYPING_ON_GPU(__syncthreads(), void()); }

@@ -3,17 +3,15 @@
 #include <algorithm>
 #include <cmath>
 
-#include "field_phenotyping/measurement/cross_section_model.hpp"
 #include "field_phenotyping/measurement/cross_section_start.hpp"
 #include "field_phenotyping/measurement/surface_mixture.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-using Parameters = CrossSectionVector;
-using Information = CrossSectionMatrix;
+using Parameters = Eigen::Matrix<double, kCrossSectionSize, 1>;
+using Information = Eigen::Matrix<double, kCrossSectionSize, kCrossSectionSize, Eigen::RowMajor>;
 
-constexpr int kMaxSteps = 120;
 constexpr double kMaxBlur = 0.6;  // noise over radius beyond which a circle is fitted
 // Of less than so much of a stem the posterior is no normal distribution: it has several tops, and
 // a long tail. By how much its standard deviation is then too small was found by simulation over
@@ -105,50 +103,35 @@ void limitEllipticity(bool only_prior, double prior_variance, Information& covar
   covariance.diagonal().segment<2>(kEllipse).setConstant(prior_variance);
 }
 
-}  // namespace
+bool isShapeless(const CrossSectionStart& start) {
+  return !(std::exp(start.parameters[kNoise]) < kMaxBlur * start.parameters[kRadius]);
+}
 
-StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
-                                     const CrossSectionPrior& prior) {
+/// The cross-section that a fit comes to, with its covariance.
+StemCrossSection crossSectionOf(const SurfaceMixtureFit& fit, const CrossSectionPrior& prior,
+                                bool shapeless) {
   StemCrossSection result;
-  if (points.size() < 5U) return result;
-  const StemExtent extent = extentOf(points);
-  if (!(extent.width_variance > 0.0)) return result;
-
-  // 1. Solve; noise nearly as large as the stem leaves no shape to be seen but its size.
-  CrossSectionPrior used = prior;
-  CrossSectionStart start = startCrossSection(points, used, extent);
-  const double blur = std::exp(start.parameters[kNoise]) / start.parameters[kRadius];
-  const bool shapeless = !(blur < kMaxBlur);
-  if (shapeless) {
-    used.ellipticity_stddev = 0.0;
-    start = startCrossSection(points, used, extent);
-  }
-  SurfaceMixture solver(points, used, extent, start.parameters, start.outlier_share);
-  result.converged = solver.run(kMaxSteps);
-
-  // 2. Covariance.
-  const Parameters& p = solver.parameters();
-  SurfaceMixture::Covariance found = solver.covariance();
-  if (!found.valid) return result;
-  Information& covariance = found.posterior;
+  result.converged = fit.converged;
+  if (!fit.has_covariance) return result;
+  const Eigen::Map<const Parameters> p(fit.parameters.values);
+  Information covariance = Eigen::Map<const Information>(fit.posterior);
   // With the noise estimated from few points the errors follow Student's distribution.
-  const double freedom = std::max(solver.freedom(), 3.0);
+  const double freedom = std::max(fit.freedom, 3.0);
   covariance *= freedom / (freedom - 2.0);
-  for (const Information& other : {found.patches, found.bound}) {
-    widen(other, kRadius, 1, covariance);
-    widen(other, kEllipse, 2, covariance);
+  for (const double* other : {fit.patches, fit.bound}) {
+    widen(Eigen::Map<const Information>(other), kRadius, 1, covariance);
+    widen(Eigen::Map<const Information>(other), kEllipse, 2, covariance);
   }
   const double ellipse_variance =
       std::pow(std::max(prior.ellipticity_stddev, 1e-4) * p[kRadius], 2);
   addElongation(prior.elongation.stddev, covariance);
-  result.arc_coverage = solver.arcCoverage();
+  result.arc_coverage = fit.arc_coverage;
   const double unseen = std::clamp((kFullArc - result.arc_coverage) / kPartArc, 0.0, 1.0);
   covariance.row(kRadius) *= 1.0 + kPartArcExcess * unseen;
   covariance.col(kRadius) *= 1.0 + kPartArcExcess * unseen;
-  limitRadius(solver.radiusPriorVariance(), covariance);
+  limitRadius(fit.radius_prior_variance, covariance);
   limitEllipticity(shapeless, ellipse_variance, covariance);
 
-  // 3. Traits.
   result.valid = true;
   result.center = p.segment<2>(kCenter);
   result.tilt = p.segment<2>(kTilt);
@@ -163,11 +146,32 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
   result.ellipticity = p.segment<2>(kEllipse) / p[kRadius];
   result.ellipticity_stddev =
       std::sqrt(0.5 * covariance.diagonal().segment<2>(kEllipse).sum()) / p[kRadius];
-  result.outlier_share = solver.outlierShare();
-  result.points = solver.surfacePoints();
+  result.outlier_share = fit.outlier_share;
+  result.points = fit.surface_points;
   setDiameters(p, covariance, result);
-  setPriorShares(solver.radiusPriorVariance(), ellipse_variance, covariance, result);
+  setPriorShares(fit.radius_prior_variance, ellipse_variance, covariance, result);
   return result;
+}
+
+}  // namespace
+
+StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
+                                     const CrossSectionPrior& prior) {
+  StemCrossSection result;
+  if (points.size() < 5U) return result;
+  const CrossSectionPoints places = placesOf(points);
+  CrossSectionTask task = crossSectionTask(points, prior);
+  if (!(task.extent.width_variance > 0.0)) return result;
+
+  // 1. Solve; noise nearly as large as the stem leaves no shape to be seen but its size.
+  CrossSectionStart start = startCrossSection(places, task);
+  const bool shapeless = isShapeless(start);
+  if (shapeless) {
+    task.known.ellipticity_stddev = 0.0;
+    start = startCrossSection(places, task);
+  }
+  const SurfaceMixtureFit fit = fitSurfaceMixture(places, task, start);
+  return crossSectionOf(fit, prior, shapeless);
 }
 
 }  // namespace field_phenotyping

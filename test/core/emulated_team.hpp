@@ -69,6 +69,7 @@ struct EmulatedLanes : ThreadLanes {
 /// sees.
 class EmulatedTeam {
  public:
+  static constexpr bool kAlone = false;
   EmulatedTeam(unsigned rank, unsigned size, Barrier& barrier, LaneExchange& exchange)
       : rank_(rank), size_(size), barrier_(&barrier), exchange_(&exchange) {}
 

@@ -32,6 +32,7 @@ struct VectorLanes {
 
 /// The team of one thread that the CPU works with (see team.hpp).
 struct SerialTeam {
+  static constexpr bool kAlone = true;
   static unsigned rank() { return 0U; }
   static unsigned size() { return 1U; }
   static void sync() {}

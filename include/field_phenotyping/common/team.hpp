@@ -19,6 +19,8 @@ constexpr std::size_t kLanes = 4U;
 // Work that is to run on the CPU and on the GPU is written once, for a team: a template over a type
 // with
 //
+//   static constexpr bool kAlone          whether it never has more than one member: loops may then
+//                                         be unrolled
 //   unsigned rank() const, size() const   of this member; members of the team
 //   void sync() const                     every member waits here for all others; what they wrote
 //                                         before it may be read after it
