@@ -92,10 +92,16 @@ CrossSectionVector circleStart(const std::vector<Eigen::Vector3d>& points,
 }  // namespace
 
 CrossSectionTask crossSectionTask(const std::vector<Eigen::Vector3d>& points,
-                                  const CrossSectionPrior& prior) {
+                                  const CrossSectionPrior& prior, const CrossSectionStart* near) {
   CrossSectionTask task;
   task.known = knownBy(prior);
   task.extent = extentOf(points);
+  if (near != nullptr) {
+    task.near = *near;
+    task.has_near = !start::isShapeless(near->parameters);
+    task.shapeless = !task.has_near;
+    if (task.has_near) return task;
+  }
   task.of_axis = circleStart(points, Eigen::Vector2d::Zero(), prior);
   std::vector<Eigen::Vector2d> flat;
   flat.reserve(points.size());

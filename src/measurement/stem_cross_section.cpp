@@ -12,7 +12,6 @@ namespace {
 using Parameters = Eigen::Matrix<double, kCrossSectionSize, 1>;
 using Information = Eigen::Matrix<double, kCrossSectionSize, kCrossSectionSize, Eigen::RowMajor>;
 
-constexpr double kMaxBlur = 0.6;  // noise over radius beyond which a circle is fitted
 // Of less than so much of a stem the posterior is no normal distribution: it has several tops, and
 // a long tail. By how much its standard deviation is then too small was found by simulation over
 // noise 1-4 mm and arcs of 90-200 degrees.
@@ -103,8 +102,35 @@ void limitEllipticity(bool only_prior, double prior_variance, Information& covar
   covariance.diagonal().segment<2>(kEllipse).setConstant(prior_variance);
 }
 
-bool isShapeless(const CrossSectionStart& start) {
-  return !(std::exp(start.parameters[kNoise]) < kMaxBlur * start.parameters[kRadius]);
+/// The start that another fit is; it must be a sure one, for of half-seen stems, and where many
+/// points are none of the stem's, the posterior has several tops.
+bool startFrom(const StemCrossSection& near, const CrossSectionPrior& prior,
+               CrossSectionStart& start) {
+  constexpr double kMostOutliers = 0.3;  // share
+  if (!near.valid || !near.converged || near.arc_coverage < kFullArc ||
+      near.outlier_share > kMostOutliers) {
+    return false;
+  }
+  const double radius = near.radius.value;
+  start = CrossSectionStart();
+  Eigen::Map<Parameters> p(start.parameters.values);
+  p.segment<2>(kCenter) = near.center;
+  p.segment<2>(kTilt) = near.tilt;
+  p.segment<2>(kCurvature) = near.curvature;
+  p.segment<2>(kTwist) = near.twist;
+  p[kRadius] = radius;
+  p[kTaper] = near.taper.value * radius;
+  p[kTaperChange] = near.taper_change.value * radius;
+  if (prior.ellipticity_stddev > 0.0) p.segment<2>(kEllipse) = near.ellipticity * radius;
+  p[kNoise] = near.log_noise.value;
+  if (prior.log_noise.stddev > 0.0) {
+    const double near_weight = 1.0 / std::pow(near.log_noise.stddev, 2);
+    const double prior_weight = 1.0 / std::pow(prior.log_noise.stddev, 2);
+    p[kNoise] = (near_weight * near.log_noise.value + prior_weight * prior.log_noise.value) /
+                (near_weight + prior_weight);
+  }
+  start.outlier_share = near.outlier_share;
+  return true;
 }
 
 /// The cross-section that a fit comes to, with its covariance.
@@ -136,6 +162,7 @@ StemCrossSection crossSectionOf(const SurfaceMixtureFit& fit, const CrossSection
   result.center = p.segment<2>(kCenter);
   result.tilt = p.segment<2>(kTilt);
   result.curvature = p.segment<2>(kCurvature);
+  result.twist = p.segment<2>(kTwist);
   const auto relative = [&](int i) -> Trait {
     return {p[i] / p[kRadius], std::sqrt(covariance(i, i)) / p[kRadius]};
   };
@@ -156,22 +183,15 @@ StemCrossSection crossSectionOf(const SurfaceMixtureFit& fit, const CrossSection
 }  // namespace
 
 StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
-                                     const CrossSectionPrior& prior) {
-  StemCrossSection result;
-  if (points.size() < 5U) return result;
+                                     const CrossSectionPrior& prior, const StemCrossSection& near) {
+  if (points.size() < 5U) return {};
+  CrossSectionStart start;
+  const bool has_near = startFrom(near, prior, start);
+  const CrossSectionTask task = crossSectionTask(points, prior, has_near ? &start : nullptr);
+  if (!(task.extent.width_variance > 0.0)) return {};
   const CrossSectionPoints places = placesOf(points);
-  CrossSectionTask task = crossSectionTask(points, prior);
-  if (!(task.extent.width_variance > 0.0)) return result;
-
-  // 1. Solve; noise nearly as large as the stem leaves no shape to be seen but its size.
-  CrossSectionStart start = startCrossSection(places, task);
-  const bool shapeless = isShapeless(start);
-  if (shapeless) {
-    task.known.ellipticity_stddev = 0.0;
-    start = startCrossSection(places, task);
-  }
-  const SurfaceMixtureFit fit = fitSurfaceMixture(places, task, start);
-  return crossSectionOf(fit, prior, shapeless);
+  start = startCrossSection(places, task);
+  return crossSectionOf(fitSurfaceMixture(places, task, start), prior, start.shapeless);
 }
 
 }  // namespace field_phenotyping

@@ -12,6 +12,7 @@ namespace field_phenotyping {
 struct CrossSectionStart {
   CrossSectionVector parameters;
   double outlier_share = 0.0;
+  bool shapeless = false;  ///< a circle is to be fitted
 };
 
 /// One piece of stem to be fitted, before anything is.
@@ -21,9 +22,18 @@ struct CrossSectionTask {
   CrossSectionVector of_axis;    ///< a circle round the reference axis
   CrossSectionVector of_circle;  ///< one through all points
   bool has_circle = false;
+  CrossSectionStart near;  ///< where to begin instead
+  bool has_near = false;
+  bool shapeless = false;  ///< a circle is to be fitted
 };
 
 namespace start {
+
+/// Whether noise leaves no shape to be seen but the size.
+FIELD_PHENOTYPING_HD inline bool isShapeless(const CrossSectionVector& parameters) {
+  constexpr double kMaxBlur = 0.6;  // noise over radius
+  return !(exponential(parameters[kNoise]) < kMaxBlur * parameters[kRadius]);
+}
 
 /// A symmetric matrix.
 struct Symmetric2 {
@@ -179,11 +189,10 @@ class CrossSectionSolver {
         observed_(team),
         expected_(team) {}
 
-  /// Up to kSteps steps, fewer once nothing moves. Returns the logarithm of the posterior.
+  /// Up to kSteps steps, fewer once little moves. Returns the logarithm of the posterior.
   FIELD_PHENOTYPING_HD double run(CrossSectionStart& at) const {
     constexpr int kSteps = 15;
-    constexpr double kConverged = 1e-5;  // step, relative to the radius
-    constexpr double kConvergedNoise = 1e-4;
+    constexpr double kNearEnough = 0.01;  // step, relative to the radius; of the noise's logarithm
     constexpr double kOutlierShare = 0.1;
     at.outlier_share = kOutlierShare;
     ParameterPrior prior;
@@ -194,8 +203,8 @@ class CrossSectionSolver {
       limitStep(at.parameters, step);
       for (int k = 0; k < kCrossSectionSize; ++k) at.parameters[k] += step[k];
       value = evaluate(at, prior);
-      if (movedBy(step) < kConverged * at.parameters[kRadius] &&
-          magnitudeOf(step[kNoise]) < kConvergedNoise) {
+      if (movedBy(step) < kNearEnough * at.parameters[kRadius] &&
+          magnitudeOf(step[kNoise]) < kNearEnough) {
         return value;
       }
     }
@@ -367,13 +376,13 @@ class CrossSectionSolver {
   InformationAdder<kLocalShapeSize, Team> expected_;
 };
 
-/// A rough fit from the likelier of two starting points. All members of the team get it.
+/// A rough fit from the likelier of two starting points.
 template <class Team>
-FIELD_PHENOTYPING_HD CrossSectionStart startCrossSection(const Team& team,
-                                                         const CrossSectionPoints& points,
-                                                         const CrossSectionTask& task,
-                                                         const StartScratch& scratch) {
-  const CrossSectionSolver<Team> solver(team, points, task.known, task.extent, scratch);
+FIELD_PHENOTYPING_HD CrossSectionStart roughFit(const Team& team, const CrossSectionPoints& points,
+                                                const CrossSectionTask& task,
+                                                const KnownOfStem& known,
+                                                const StartScratch& scratch) {
+  const CrossSectionSolver<Team> solver(team, points, known, task.extent, scratch);
   CrossSectionStart best{task.of_axis};
   const double value = solver.run(best);
   if (task.has_circle) {
@@ -381,6 +390,28 @@ FIELD_PHENOTYPING_HD CrossSectionStart startCrossSection(const Team& team,
     if (!(solver.run(other) <= value)) best = other;
   }
   return best;
+}
+
+/// What is known of a stem of which a circle is to be fitted.
+FIELD_PHENOTYPING_HD inline KnownOfStem ofCircle(KnownOfStem known) {
+  known.ellipticity_stddev = 0.0;
+  return known;
+}
+
+/// See cross_section_start.hpp. All members of the team get it.
+template <class Team>
+FIELD_PHENOTYPING_HD CrossSectionStart startCrossSection(const Team& team,
+                                                         const CrossSectionPoints& points,
+                                                         const CrossSectionTask& task,
+                                                         const StartScratch& scratch) {
+  if (task.has_near) return task.near;
+  if (!task.shapeless) {
+    const CrossSectionStart ellipse = roughFit(team, points, task, task.known, scratch);
+    if (!start::isShapeless(ellipse.parameters)) return ellipse;
+  }
+  CrossSectionStart circle = roughFit(team, points, task, ofCircle(task.known), scratch);
+  circle.shapeless = true;
+  return circle;
 }
 
 }  // namespace field_phenotyping

@@ -833,8 +833,9 @@ FIELD_PHENOTYPING_HD void fitSurfaceMixture(const Team& team, const CrossSection
                                             double* shared, double* of_points,
                                             SurfaceMixtureFit& fit) {
   constexpr int kMaxSteps = 120;
-  SurfaceMixtureSolver<Team> solver(team, points, task.known, task.extent, start, bins, shared,
-                                    of_points);
+  SurfaceMixtureSolver<Team> solver(team, points,
+                                    start.shapeless ? ofCircle(task.known) : task.known,
+                                    task.extent, start, bins, shared, of_points);
   const bool converged = solver.run(kMaxSteps);
   solver.describe(converged, fit);
 }
