@@ -589,8 +589,15 @@ class SurfaceMixtureSolver {
         shared_.outlying[k] += outside * weight;
       }
       double* const together = shared_.together + k * bins_;
-      for (int i = lane(); i <= j; i += lanes()) {
-        together[static_cast<int>(point.bins[i])] += weight * point.weights[i];
+      if constexpr (Team::kAlone) {
+        for (int i = 0; i <= j; ++i) {
+          together[static_cast<int>(point.bins[i])] += weight * point.weights[i];
+        }
+      } else {
+        for (int bin = lane(); bin <= k; bin += lanes()) {
+          const auto i = static_cast<int>(point.places[bin]);
+          if (i >= 0) together[bin] += weight * point.weights[i];
+        }
       }
     });
   }
