@@ -151,6 +151,7 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   preprocessing.max_range = std::numeric_limits<double>::infinity();
   const ComputeDevice preprocessing_device = device.withOwnCounts();
   const ComputeDevice segmentation_device = device.withOwnCounts();
+  const ComputeDevice measurement_device = device.withOwnCounts();
   const Tiling tiling = leastWork(cloud, preprocessing);
   preprocessing.block_size = tiling.edge;
   Preprocessor preprocessor(preprocessing, "map", tiling.corner);
@@ -189,7 +190,7 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
         std::make_shared<CompletedBlock>(completeBlock(segmented[b], parameters.completion));
     bookkeeper.add(2U, secondsSince(stage_start), completed->synthetic.size());
     stage_start = Clock::now();
-    measured[b] = measureBlock(*completed, parameters.measurement);
+    measured[b] = measureBlock(*completed, parameters.measurement, measurement_device);
     bookkeeper.add(3U, secondsSince(stage_start), segmented[b]->cloud.size());
     result.blocks[b] = std::move(completed);
   });
@@ -212,10 +213,10 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
     }
   });
   result.times = bookkeeper.times();
-  for (StageTime& time : result.times)
-    time.use.why_cpu = "no step of this stage is written for a GPU";
   result.times[0].use = preprocessing_device.use();
   result.times[1].use = segmentation_device.use();
+  result.times[2].use.why_cpu = "no step of this stage is written for a GPU";
+  result.times[3].use = measurement_device.use();
   return result;
 }
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
@@ -37,13 +38,13 @@ struct BlockPrior {
   double median_outlier_share = 0.0;  ///< of those
 };
 
-BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& parameters) {
+BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& parameters,
+                      const ComputeDevice& device) {
   const CrossSectionPrior weak = weakPrior(parameters);
   if (parameters.mode == "paper" || !parameters.block_shape_prior) return {weak, {}, 0.0};
-  std::vector<StemDiameter> alone(block.plants.size());
-  parallelFor(alone.size(), [&](std::size_t i) {
-    alone[i] = measureStemDiameter(block, block.plants[i], parameters, weak);
-  });
+  std::vector<std::size_t> all(block.plants.size());
+  std::iota(all.begin(), all.end(), std::size_t{0});
+  std::vector<StemDiameter> alone = measureStemDiameters(block, all, parameters, weak, {}, device);
   std::vector<StemCrossSection> fits;
   for (const StemDiameter& stem : alone) fits.push_back(stem.section);
   const PopulationPrior kind =
@@ -80,7 +81,7 @@ bool looksMerged(const BlockPrior& block, std::size_t index) {
 
 Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
                        const PlantSpacing& spacing, const BlockPrior& prior,
-                       const MeasurementParameters& parameters) {
+                       const StemDiameter& diameter, const MeasurementParameters& parameters) {
   const SegmentedBlock& block = *completed.segmented;
   const Plant& plant = block.plants[index];
   Phenotype phenotype;
@@ -92,9 +93,6 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
   const PlantHeight height = measurePlantHeight(block, plant, parameters);
   phenotype.height = height.height;
 
-  const StemDiameter diameter =
-      measureStemDiameter(block, plant, parameters, prior.prior,
-                          prior.alone.empty() ? StemDiameter() : prior.alone[index]);
   phenotype.stem_diameter = diameter.major;
   phenotype.stem_diameter_minor = diameter.minor;
   phenotype.stem_diameter_equivalent = diameter.equivalent;
@@ -137,17 +135,25 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
 }  // namespace
 
 std::vector<Phenotype> measureBlock(const CompletedBlock& block,
-                                    const MeasurementParameters& parameters) {
+                                    const MeasurementParameters& parameters,
+                                    const ComputeDevice& device) {
   const std::vector<Plant>& plants = block.segmented->plants;
   std::vector<std::size_t> owned;
   for (std::size_t i = 0; i < plants.size(); ++i) {
     if (plants[i].owned) owned.push_back(i);
   }
   const std::vector<PlantSpacing> spacings = measureRowSpacing(*block.segmented);
-  const BlockPrior prior = blockPrior(*block.segmented, parameters);
+  const BlockPrior prior = blockPrior(*block.segmented, parameters, device);
+  std::vector<StemDiameter> alone;
+  if (!prior.alone.empty()) {
+    for (const std::size_t i : owned) alone.push_back(prior.alone[i]);
+  }
+  const std::vector<StemDiameter> diameters =
+      measureStemDiameters(*block.segmented, owned, parameters, prior.prior, alone, device);
   std::vector<Phenotype> phenotypes(owned.size());
   parallelFor(owned.size(), [&](std::size_t i) {
-    phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], prior, parameters);
+    phenotypes[i] =
+        measurePlant(block, owned[i], spacings[owned[i]], prior, diameters[i], parameters);
   });
   return phenotypes;
 }

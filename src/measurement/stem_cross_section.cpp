@@ -2,9 +2,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <optional>
 
+#include "common/gpu_streams.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/measurement/cross_section_start.hpp"
 #include "field_phenotyping/measurement/surface_mixture.hpp"
+#include "measurement/cross_section_gpu.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -180,18 +185,68 @@ StemCrossSection crossSectionOf(const SurfaceMixtureFit& fit, const CrossSection
   return result;
 }
 
+/// Where the fit of a piece begins; none where it has too few points.
+std::optional<CrossSectionTask> taskOf(const std::vector<Eigen::Vector3d>& points,
+                                       const CrossSectionPrior& prior,
+                                       const StemCrossSection& near) {
+  if (points.size() < 5U) return std::nullopt;
+  CrossSectionStart start;
+  const bool has_near = startFrom(near, prior, start);
+  const CrossSectionTask task = crossSectionTask(points, prior, has_near ? &start : nullptr);
+  if (!(task.extent.width_variance > 0.0)) return std::nullopt;
+  return task;
+}
+
+StemCrossSection fitOne(const std::vector<Eigen::Vector3d>& points, const CrossSectionTask& task,
+                        const CrossSectionPrior& prior) {
+  const CrossSectionPoints places = placesOf(points);
+  const CrossSectionStart start = startCrossSection(places, task);
+  return crossSectionOf(fitSurfaceMixture(places, task, start), prior, start.shapeless);
+}
+
 }  // namespace
 
 StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
                                      const CrossSectionPrior& prior, const StemCrossSection& near) {
-  if (points.size() < 5U) return {};
-  CrossSectionStart start;
-  const bool has_near = startFrom(near, prior, start);
-  const CrossSectionTask task = crossSectionTask(points, prior, has_near ? &start : nullptr);
-  if (!(task.extent.width_variance > 0.0)) return {};
-  const CrossSectionPoints places = placesOf(points);
-  start = startCrossSection(places, task);
-  return crossSectionOf(fitSurfaceMixture(places, task, start), prior, start.shapeless);
+  const std::optional<CrossSectionTask> task = taskOf(points, prior, near);
+  return task ? fitOne(points, *task, prior) : StemCrossSection();
+}
+
+std::vector<StemCrossSection> fitStemCrossSections(const std::vector<StemPiece>& pieces,
+                                                   const ComputeDevice& device) {
+  std::vector<std::optional<CrossSectionTask>> tasks(pieces.size());
+  parallelFor(pieces.size(), [&](std::size_t i) {
+    tasks[i] = taskOf(pieces[i].points, pieces[i].prior, pieces[i].near);
+  });
+  std::vector<StemCrossSection> sections(pieces.size());
+  std::vector<std::size_t> to_fit;
+  for (std::size_t i = 0; i < pieces.size(); ++i) {
+    if (tasks[i]) to_fit.push_back(i);
+  }
+  if constexpr (kWithCuda) {
+    const bool done = !to_fit.empty() && device.attempt([&](GpuStream& stream) {
+      std::vector<CrossSectionPiece> on_gpu;
+      std::vector<Eigen::Vector3d> points;
+      for (const std::size_t i : to_fit) {
+        on_gpu.push_back({*tasks[i], static_cast<std::uint32_t>(points.size()),
+                          static_cast<int>(pieces[i].points.size())});
+        points.insert(points.end(), pieces[i].points.begin(), pieces[i].points.end());
+      }
+      const GpuCrossSections found =
+          crossSectionsOnGpu(stream, placesOf(points).places, points.size(), on_gpu.data(),
+                             static_cast<std::uint32_t>(on_gpu.size()));
+      for (std::size_t k = 0; k < to_fit.size(); ++k) {
+        sections[to_fit[k]] =
+            crossSectionOf(found.fits[k], pieces[to_fit[k]].prior, found.starts[k].shapeless);
+      }
+    });
+    if (done) return sections;
+  }
+  parallelFor(to_fit.size(), [&](std::size_t k) {
+    const std::size_t i = to_fit[k];
+    sections[i] = fitOne(pieces[i].points, *tasks[i], pieces[i].prior);
+  });
+  return sections;
 }
 
 }  // namespace field_phenotyping

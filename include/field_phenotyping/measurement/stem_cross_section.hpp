@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
 
 namespace field_phenotyping {
@@ -80,5 +81,17 @@ struct StemCrossSection {
 StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
                                      const CrossSectionPrior& prior,
                                      const StemCrossSection& near = StemCrossSection());
+
+/// A piece of stem to be fitted: what fitStemCrossSection() is given.
+struct StemPiece {
+  std::vector<Eigen::Vector3d> points;
+  CrossSectionPrior prior;
+  StemCrossSection near;
+};
+
+/// fitStemCrossSection() of many pieces, on several cores, or all at once on a GPU: the results are
+/// the same. Thread-safe, deterministic.
+std::vector<StemCrossSection> fitStemCrossSections(const std::vector<StemPiece>& pieces,
+                                                   const ComputeDevice& device);
 
 }  // namespace field_phenotyping

@@ -1,8 +1,11 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
 #include "field_phenotyping/measurement/stem_cross_section.hpp"
 #include "field_phenotyping/parameters.hpp"
@@ -47,5 +50,16 @@ StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant
                                  const MeasurementParameters& parameters,
                                  const CrossSectionPrior& prior,
                                  const StemDiameter& before = StemDiameter());
+
+/// measureStemDiameter() of many plants of a block, on several cores, or all at once on a GPU: the
+/// results are the same. Thread-safe; deterministic.
+/// @param plants their numbers
+/// @param before of each of them; or none
+std::vector<StemDiameter> measureStemDiameters(const SegmentedBlock& block,
+                                               const std::vector<std::size_t>& plants,
+                                               const MeasurementParameters& parameters,
+                                               const CrossSectionPrior& prior,
+                                               const std::vector<StemDiameter>& before,
+                                               const ComputeDevice& device);
 
 }  // namespace field_phenotyping
