@@ -187,8 +187,8 @@ TEST(CrossSectionTeam, FitIsThatOfOneThreadBitForBit) {
     unsigned groups;
   };
   // The noise of the last one leaves no shape to be seen.
-  for (const Case& c : {Case{70, 0.003, 6.3, 1U}, Case{45, 0.002, 2.5, 3U}, Case{5, 0.003, 6.3, 2U},
-                        Case{40, 0.01, 6.3, 2U}}) {
+  for (const Case& c : {Case{30, 0.003, 6.3, 1U}, Case{14, 0.002, 2.5, 2U}, Case{5, 0.003, 6.3, 3U},
+                        Case{9, 0.01, 6.3, 2U}}) {
     const std::vector<Eigen::Vector3d> points = stemPoints(c.points, 0.012, c.noise, c.arc, 7U);
     const CrossSectionPoints places = placesOf(points);
     const bool shapeless = c.noise > 0.005;

@@ -188,18 +188,23 @@ class InformationAdder {
  public:
   FIELD_PHENOTYPING_HD explicit InformationAdder(const Team& team)
       : rank_(static_cast<int>(team.rank())), size_(static_cast<int>(team.size())) {
-    if constexpr (!Team::kAlone) first_ = informationSum(rank_);
+    if constexpr (!Team::kAlone) {
+      first_ = informationSum(rank_);
+      second_ = informationSum(rank_ + size_);
+    }
   }
 
+  /// @tparam kFirst of the pairs of this local quantity and those after it
   /// @param local by pairOf()
+  template <int kFirst = 0>
   FIELD_PHENOTYPING_HD void add(const double* local, const double* powers, double* sums) const {
     if constexpr (Team::kAlone) {
-      addAllInformation<kSize>(local, powers, sums);
+      addAllInformation<kSize, kFirst>(local, powers, sums);
     } else {
-      constexpr int kCount = sumsOf(kSize, 0);
-      InformationSum own = first_;  // a team of a thread block has one sum a member, or none
-      for (int i = rank_; i < kCount; i += size_) {
-        if (i != rank_) own = informationSum(i);
+      InformationSum own = first_;  // most have one sum or two
+      for (int i = rank_; i < sumsOf(kSize, 0); i += size_) {
+        if (i < sumsOf(kFirst, 0)) continue;
+        if (i != rank_) own = i == rank_ + size_ ? second_ : informationSum(i);
         sums[i] += powers[own.power] * local[own.pair];
       }
     }
@@ -209,6 +214,7 @@ class InformationAdder {
   int rank_;
   int size_;
   InformationSum first_ = {};
+  InformationSum second_ = {};
 };
 
 /// visit(i, j, number of the sum) for all elements i <= j of the matrix of information over the

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <type_traits>
 
 #include "field_phenotyping/common/team_cholesky.hpp"
 #include "field_phenotyping/measurement/cross_section_model.hpp"
@@ -54,16 +55,22 @@ FIELD_PHENOTYPING_HD inline int binsOf(const CrossSectionVector& start) {
   return wished > kLeastBins ? static_cast<int>(wished) : kLeastBins;
 }
 
-/// What one point says; its candidate bins lie beside it.
+/// Bins, filled up to whole lanes.
+FIELD_PHENOTYPING_HD constexpr int paddedBins(int bins) {
+  constexpr auto kWidth = static_cast<int>(kLanes);
+  return (bins + kWidth - 1) / kWidth * kWidth;
+}
+
+/// What one point says; what its candidate bins do lies beside it.
 struct Record {
   double powers[kHeightPowers];
   double log_density;
-  double member;             // that it is no outlier
-  double score[kLocalSize];  // the mean over the bins
-  double known[kPairs];      // information if its bin were known
+  double member;             // that it is no outlier; the sum of the weights
+  double score[kLocalSize];  // the mean over the bins, times `member`
+  double known[kPairs];      // information if its bin were known; not of the shape alone
   double missing[kPairs];    // how much of that is missing, for it is not
   double patch;              // number of the patch of surface that it is of
-  double candidates;         // bins that count
+  double candidates;         // packs of kLanes bins side by side that it may be of
 };
 constexpr int kRecordSize = static_cast<int>(sizeof(Record) / sizeof(double));
 
@@ -79,23 +86,39 @@ struct Sums {
 };
 constexpr int kSumsSize = static_cast<int>(sizeof(Sums) / sizeof(double));
 
-/// Memory of one point: what one member of the team works on.
+/// Memory of one point: what one group of the team works on.
 struct PointScratch {
   Record* record;
-  double* weights;  // of the candidate bins
-  double* scores;   // kLocalSize for each of them
-  double* bins;     // their numbers
-  double*
-      places;  // for each bin: where it is among the candidates, or -1; not where a team is alone
+  // For each bin.
+  float* along;    // how far off its place the point is, along its direction
+  float* across;   // and across it
+  float* weights;  // that the point is of it, of packs that count
+  float* scores;   // of packs that count: kLocalSize times kLanes each
+  // For each pack.
+  float* candidates;  // numbers of those that count, in their order
+  float* counts;      // whether it does
 };
 FIELD_PHENOTYPING_HD constexpr std::size_t pointScratchSize(int bins) {
-  return static_cast<std::size_t>(kRecordSize + bins * (kLocalSize + 3));
+  const auto n = static_cast<std::size_t>(paddedBins(bins));
+  return kRecordSize + (n * (3U + kLocalSize) + 2U * n / kLanes + 1U) / 2U;
 }
 FIELD_PHENOTYPING_HD inline PointScratch pointScratchAt(double* memory, int bins) {
-  double* weights = memory + kRecordSize;
-  double* scores = weights + bins;
-  double* numbers = scores + bins * kLocalSize;
-  return {reinterpret_cast<Record*>(memory), weights, scores, numbers, numbers + bins};
+  const int n = paddedBins(bins);
+  auto* at = reinterpret_cast<float*>(memory + kRecordSize);
+  const auto take = [&](int count) {
+    float* taken = at;
+    at += count;
+    return taken;
+  };
+  PointScratch s;
+  s.record = reinterpret_cast<Record*>(memory);
+  s.along = take(n);
+  s.across = take(n);
+  s.weights = take(n);
+  s.scores = take(n * kLocalSize);
+  s.candidates = take(n / static_cast<int>(kLanes));
+  s.counts = take(n / static_cast<int>(kLanes));
+  return s;
 }
 
 /// Memory that all members of the team see.
@@ -105,26 +128,33 @@ struct SharedScratch {
   // For each bin.
   double* x;  // of its direction
   double* y;
-  double* stretched_x;  // of that, by the ellipticity
-  double* stretched_y;
   double* log_shares;  // up to a constant
   double* trial;       // the same where the sums are taken
   double* shares;      // exponentials of those, relative to the largest
-  double* occupancy;
-  double* outlying;
-  double* stiffness;  // kShapePairs: information of a point that is known to be of it
-  double* cross;      // kCrossSectionSize: what a parameter and its share have in common
+  double* stiffness;   // kShapePairs: information of a point that is known to be of it
   // For each unknown: the parameters, then the bins.
   double* right;
   double* wished;
-  double* together;  // bins x bins: of points that may be of both
-  double* matrix;    // unknowns x unknowns
+  double* matrix;   // unknowns x unknowns
+  double* columns;  // kCrossSectionSize x unknowns
+  // For each bin, filled up to whole lanes.
+  float* light_x;  // of its direction
+  float* light_y;
+  float* bulge_x;  // of that, by the ellipticity
+  float* bulge_y;
+  float* log_weight;  // of its share, with what all have in common
+  float* by_height;   // kHeightPowers x: weights of the points, times powers of height
+  float* outlying;    // weights, times how likely the point is an outlier
+  float* cross;       // kCrossSectionSize x: what a parameter and its share have in common
+  float* together;    // bins x bins, those before and of the pack: of points that may be of both
 };
 FIELD_PHENOTYPING_HD constexpr std::size_t sharedScratchSize(int bins) {
   const auto n = static_cast<std::size_t>(bins);
+  const auto padded = static_cast<std::size_t>(paddedBins(bins));
   const std::size_t unknowns = n + kCrossSectionSize;
-  return kSumsSize + kCrossSectionSize * kPatches + n * (9U + kShapePairs + kCrossSectionSize) +
-         2U * unknowns + n * n + unknowns * unknowns;
+  const std::size_t floats = padded * (6U + kHeightPowers + kCrossSectionSize + padded);
+  return kSumsSize + kCrossSectionSize * kPatches + n * (5U + kShapePairs) +
+         unknowns * (2U + unknowns + kCrossSectionSize) + (floats + 1U) / 2U;
 }
 FIELD_PHENOTYPING_HD inline SharedScratch sharedScratchAt(double* memory, int bins) {
   double* at = memory;
@@ -134,33 +164,45 @@ FIELD_PHENOTYPING_HD inline SharedScratch sharedScratchAt(double* memory, int bi
     return taken;
   };
   const int unknowns = bins + kCrossSectionSize;
+  const int padded = paddedBins(bins);
   SharedScratch s;
   s.sums = reinterpret_cast<Sums*>(take(kSumsSize));
   s.moved = take(kCrossSectionSize * kPatches);
   s.x = take(bins);
   s.y = take(bins);
-  s.stretched_x = take(bins);
-  s.stretched_y = take(bins);
   s.log_shares = take(bins);
   s.trial = take(bins);
   s.shares = take(bins);
-  s.occupancy = take(bins);
-  s.outlying = take(bins);
   s.stiffness = take(bins * kShapePairs);
-  s.cross = take(bins * kCrossSectionSize);
   s.right = take(unknowns);
   s.wished = take(unknowns);
-  s.together = take(bins * bins);
   s.matrix = take(unknowns * unknowns);
+  s.columns = take(kCrossSectionSize * unknowns);
+  auto* light = reinterpret_cast<float*>(at);
+  const auto takeLight = [&](int count) {
+    float* taken = light;
+    light += count;
+    return taken;
+  };
+  s.light_x = takeLight(padded);
+  s.light_y = takeLight(padded);
+  s.bulge_x = takeLight(padded);
+  s.bulge_y = takeLight(padded);
+  s.log_weight = takeLight(padded);
+  s.by_height = takeLight(padded * kHeightPowers);
+  s.outlying = takeLight(padded);
+  s.cross = takeLight(padded * kCrossSectionSize);
+  s.together = takeLight(padded * padded);
   return s;
 }
 
-template <int kRow = 0>
-FIELD_PHENOTYPING_HD inline void addSquare(const double* score, double weight, double* sum) {
+/// Adds the products of deviations with weighted ones to the lower half of their matrix.
+template <int kRow = 0, class Float>
+FIELD_PHENOTYPING_HD inline void addScatter(const Float* deviations, const Float* weighted,
+                                            Float* scatter) {
   if constexpr (kRow < kLocalSize) {
-    const double scaled = weight * score[kRow];
-    for (int b = 0; b <= kRow; ++b) sum[pairOf(kRow, b)] += scaled * score[b];
-    addSquare<kRow + 1>(score, weight, sum);
+    for (int b = 0; b <= kRow; ++b) scatter[pairOf(kRow, b)] += weighted[kRow] * deviations[b];
+    addScatter<kRow + 1>(deviations, weighted, scatter);
   }
 }
 
@@ -199,6 +241,7 @@ class SurfaceMixtureSolver {
         known_(known),
         extent_(extent),
         bins_(bins),
+        padded_(mixture::paddedBins(bins)),
         unknowns_(kCrossSectionSize + bins),
         shared_(mixture::sharedScratchAt(shared, bins)),
         of_points_(of_points),
@@ -222,7 +265,7 @@ class SurfaceMixtureSolver {
     constexpr double kLeastShare = 0.05;  // of an even one
     const double even = shared_.sums->members / bins_;
     for (int k = rank(); k < bins_; k += size()) {
-      shared_.log_shares[k] = logarithm(largerOf(shared_.occupancy[k] / even, kLeastShare));
+      shared_.log_shares[k] = logarithm(largerOf(occupancyOf(k) / even, kLeastShare));
     }
     team_.sync();
     update();
@@ -339,11 +382,7 @@ class SurfaceMixtureSolver {
     double top = shared_.trial[0];
     for (int k = 1; k < bins_; ++k) top = largerOf(top, shared_.trial[k]);
     for (int k = rank(); k < bins_; k += size()) {
-      const double x = shared_.x[k];
-      const double y = shared_.y[k];
       shared_.shares[k] = exponential(shared_.trial[k] - top);
-      shared_.stretched_x[k] = p[kEllipse] * x + p[kEllipse + 1] * y;
-      shared_.stretched_y[k] = p[kEllipse + 1] * x - p[kEllipse] * y;
     }
     team_.sync();
     double sum = 0.0;
@@ -354,119 +393,221 @@ class SurfaceMixtureSolver {
     c.along = exponential(-2.0 * (p[kNoise] + p[kElongation]));
     c.across = exponential(-2.0 * (p[kNoise] - p[kElongation]));
     constexpr double kPi = 0.5 * mixture::kTwoPi;
-    c.log_scale = logarithm(1.0 - outlier_share_) - logarithm(mixture::kTwoPi) - 2.0 * p[kNoise] -
-                  (top + logarithm(sum));
+    const double log_scale = logarithm(1.0 - outlier_share_) - logarithm(mixture::kTwoPi) -
+                             2.0 * p[kNoise] - (top + logarithm(sum));
     c.log_outlier =
         logarithm(outlier_share_ / kPi) - 2.0 * logarithm(largerOf(extent_.reach, 1e-9));
+    constexpr float kNever = -1e30F;
+    for (int k = rank(); k < padded_; k += size()) {
+      const bool is_bin = k < bins_;
+      const double x = is_bin ? shared_.x[k] : 0.0;
+      const double y = is_bin ? shared_.y[k] : 0.0;
+      shared_.light_x[k] = static_cast<float>(x);
+      shared_.light_y[k] = static_cast<float>(y);
+      shared_.bulge_x[k] = static_cast<float>(p[kEllipse] * x + p[kEllipse + 1] * y);
+      shared_.bulge_y[k] = static_cast<float>(p[kEllipse + 1] * x - p[kEllipse] * y);
+      shared_.log_weight[k] = is_bin ? static_cast<float>(shared_.trial[k] + log_scale) : kNever;
+    }
+    team_.sync();
     return c;
   }
 
   FIELD_PHENOTYPING_HD double shareOf(int k) const { return shared_.shares[k] * share_scale_; }
+  /// Weights of a bin, times how likely the points are outliers.
+  FIELD_PHENOTYPING_HD double outlyingOf(int k) const {
+    return static_cast<double>(shared_.outlying[k]);
+  }
+  /// Expected number of points of a bin.
+  FIELD_PHENOTYPING_HD double occupancyOf(int k) const {
+    return static_cast<double>(shared_.by_height[k]);
+  }
 
-  /// Finds the bins that a point may be of, and what it says of the surface.
+  static constexpr auto kPack = static_cast<int>(kLanes);
+
+  /// visit(first bin) for the packs that a point may be of and that are first ... of `step`, in
+  /// their order.
+  template <class Visit>
+  FIELD_PHENOTYPING_HD void forEachCandidate(const mixture::PointScratch& point, int first,
+                                             int step, const Visit& visit) const {
+    if constexpr (Team::kAlone) {
+      const auto candidates = static_cast<int>(point.record->candidates);
+      for (int j = 0; j < candidates; ++j) visit(kPack * static_cast<int>(point.candidates[j]));
+    } else {
+      for (int pack = first; pack * kPack < padded_; pack += step) {
+        if (point.counts[pack] > 0.0F) visit(kPack * pack);
+      }
+    }
+  }
+
+  /// Finds the bins that a point may be of, and what it says of the surface. A group works on
+  /// kLanes bins at once.
   /// @tparam kAll or only what the covariance needs
-  template <bool kAll>
-  FIELD_PHENOTYPING_HD void visit(const double* point, const Constants& c,
+  template <bool kAll, class Lanes>
+  FIELD_PHENOTYPING_HD void visit(const Lanes& lanes, const double* point, const Constants& c,
                                   const mixture::PointScratch& scratch) const {
-    constexpr double kNegligible = 12.0;  // of a log-likelihood
+    using Float = typename Lanes::Float;
+    constexpr float kNegligible = -12.0F;  // log-likelihood, from the largest
+    constexpr float kNone = -1.0F;         // weight of what does not count
     mixture::Record& record = *scratch.record;
     const double height = point[2];
     const Direction center = centerAt(c.parameters, height);
-    const double radius = radiusAt(c.parameters, height);
-    const double offset_x = point[0] - center.x;
-    const double offset_y = point[1] - center.y;
-    const double half_across = 0.5 * c.across;
-    const double half_difference = 0.5 * (c.across - c.along);
-    const double* const x = shared_.x;
-    const double* const y = shared_.y;
-    const double* const stretched_x = shared_.stretched_x;
-    const double* const stretched_y = shared_.stretched_y;
-    const double* const trial = shared_.trial;
-    double* const weights = scratch.weights;
-    for (int k = 0; k < bins_; ++k) {
-      const double rx = offset_x - radius * x[k] - stretched_x[k];
-      const double ry = offset_y - radius * y[k] - stretched_y[k];
-      const double along = rx * x[k] + ry * y[k];
-      weights[k] = trial[k] - half_across * (rx * rx + ry * ry) +
-                   half_difference * (along * along) + c.log_scale;
+    const double far_x = point[0] - center.x;
+    const double far_y = point[1] - center.y;
+    const Float offset_x = lanes.all(static_cast<float>(far_x));
+    const Float offset_y = lanes.all(static_cast<float>(far_y));
+    const Float radius = lanes.all(static_cast<float>(radiusAt(c.parameters, height)));
+    const Float along_precision = lanes.all(static_cast<float>(c.along));
+    const Float across_precision = lanes.all(static_cast<float>(c.across));
+    const Float half = lanes.all(0.5F);
+    const auto end = static_cast<std::size_t>(padded_);
+    Float tops = lanes.all(static_cast<float>(c.log_outlier));
+    for (std::size_t k = 0U; k < end; k += kLanes) {
+      const Float x = lanes.load(shared_.light_x, k, end);
+      const Float y = lanes.load(shared_.light_y, k, end);
+      const Float off_x = offset_x - radius * x - lanes.load(shared_.bulge_x, k, end);
+      const Float off_y = offset_y - radius * y - lanes.load(shared_.bulge_y, k, end);
+      const Float along = off_x * x + off_y * y;
+      const Float across = off_y * x - off_x * y;
+      const Float log_weight =
+          lanes.load(shared_.log_weight, k, end) -
+          half * (along_precision * along * along + across_precision * across * across);
+      lanes.store(along, scratch.along, k, end);
+      lanes.store(across, scratch.across, k, end);
+      lanes.store(log_weight, scratch.weights, k, end);
+      tops = lanes.larger(tops, log_weight);
     }
-    double top = c.log_outlier;
-    for (int k = 0; k < bins_; ++k) top = largerOf(top, weights[k]);
-    double sum = exponential(c.log_outlier - top);
+    const float top = lanes.greatest(tops);
+
+    Float sums = lanes.all(0.0F);
+    Float mean_lanes[kLocalSize];
+    Float mean_along[kLocalShapeSize];
+    for (Float& mean : mean_lanes) mean = lanes.all(0.0F);
+    for (Float& mean : mean_along) mean = lanes.all(0.0F);
     int candidates = 0;
-    for (int k = 0; k < bins_; ++k) {
-      const bool counts = !(weights[k] < top - kNegligible);
-      if constexpr (!Team::kAlone) scratch.places[k] = counts ? candidates : -1;
-      if (!counts) continue;
-      const double weight = exponential(weights[k] - top);
-      scratch.bins[candidates] = k;
-      weights[candidates] = weight;
-      sum += weight;
-      ++candidates;
-    }
-    const double scale = 1.0 / sum;
-    double member = 0.0;
-    double squares = 0.0;
-    double difference = 0.0;
-    double mean[kLocalSize] = {};
-    double known[kPairs] = {};
-    double missing[kPairs] = {};
-    for (int j = 0; j < candidates; ++j) {
-      const double weight = weights[j] * scale;
-      weights[j] = weight;
-      member += weight;
-      const auto k = static_cast<int>(scratch.bins[j]);
-      const Direction u{x[k], y[k]};
-      const double rx = offset_x - radius * u.x - stretched_x[k];
-      const double ry = offset_y - radius * u.y - stretched_y[k];
-      const double along = rx * u.x + ry * u.y;
-      const double across = ry * u.x - rx * u.y;
-      const double along_pull = c.along * along;
-      const double across_pull = c.across * across;
-      const double along_square = along_pull * along;
-      const double across_square = across_pull * across;
-      const double pull_x = along_pull * u.x - across_pull * u.y;
-      const double pull_y = along_pull * u.y + across_pull * u.x;
-      double score[kLocalSize];
-      surfaceMotion(u, pull_x, pull_y, score);
-      score[kLocalNoise] = along_square + across_square - 2.0;
-      score[kLocalElongation] = along_square - across_square;
-      for (int a = 0; a < kLocalSize; ++a) mean[a] += weight * score[a];
-      const double* const stiffness = shared_.stiffness + k * mixture::kShapePairs;
-      for (int a = 0; a < mixture::kShapePairs; ++a) known[a] += weight * stiffness[a];
-      if constexpr (kAll) {
-        double* const kept = scratch.scores + j * kLocalSize;
-        for (int a = 0; a < kLocalSize; ++a) kept[a] = score[a];
-        // The pull, mirrored at the direction of the place.
-        double motion[kLocalShapeSize];
-        surfaceMotion(u, 2.0 * along_pull * u.x - pull_x, 2.0 * along_pull * u.y - pull_y, motion);
-        for (int a = 0; a < kLocalShapeSize; ++a) {
-          known[pairOf(kLocalElongation, a)] += 2.0 * weight * motion[a];
-        }
-        squares += weight * (along_square + across_square);
-        difference += weight * (along_square - across_square);
-        mixture::addSquare(score, weight, missing);
+    for (std::size_t k = 0U; k < end; k += kLanes) {
+      const Float below = lanes.load(scratch.weights, k, end) - lanes.all(top);
+      const auto counts = lanes.atMost(lanes.all(kNegligible), below);
+      const bool has_any = lanes.count(counts) > 0U;
+      if constexpr (!Team::kAlone) {
+        if (lanes.first()) scratch.counts[k / kLanes] = has_any ? 1.0F : 0.0F;
+        if (!has_any) lanes.store(lanes.all(kNone), scratch.weights, k, end);
+      }
+      if (!has_any) continue;
+      if constexpr (Team::kAlone) scratch.candidates[candidates++] = static_cast<float>(k / kLanes);
+      const Float weight =
+          lanes.where(counts, lanes.exponential(lanes.larger(below, lanes.all(kNegligible))));
+      sums += weight;
+      lanes.store(weight, scratch.weights, k, end);
+      const Float x = lanes.load(shared_.light_x, k, end);
+      const Float y = lanes.load(shared_.light_y, k, end);
+      const Float along = lanes.load(scratch.along, k, end);
+      const Float across = lanes.load(scratch.across, k, end);
+      const Float along_pull = along_precision * along;
+      const Float across_pull = across_precision * across;
+      const Float pull_x = along_pull * x - across_pull * y;
+      const Float pull_y = along_pull * y + across_pull * x;
+      const Float along_square = along_pull * along;
+      const Float across_square = across_pull * across;
+      const Float score[kLocalSize] = {pull_x,
+                                       pull_y,
+                                       along_pull,
+                                       x * pull_x - y * pull_y,
+                                       x * pull_y + y * pull_x,
+                                       along_square + across_square - lanes.all(2.0F),
+                                       along_square - across_square};
+      for (int a = 0; a < kLocalSize; ++a) {
+        mean_lanes[a] += weight * score[a];
+        if constexpr (kAll) lanes.store(score[a], scoresAt(scratch, k, a), 0U, kLanes);
+      }
+      if constexpr (kAll) {  // the part of the pull that is along the direction
+        const Float weighted = weight * along_pull;
+        mean_along[0] += weighted * x;
+        mean_along[1] += weighted * y;
+        mean_along[2] += weighted;
+        mean_along[3] += weighted * (x * x - y * y);
+        mean_along[4] += weighted * (lanes.all(2.0F) * x * y);
       }
     }
+    const auto members = static_cast<double>(lanes.total(sums));
+    const double sum = members + exponential(c.log_outlier - static_cast<double>(top));
+    const double scale = 1.0 / sum;
+    const Float light_scale = lanes.all(static_cast<float>(scale));
+    double mean[kLocalSize];
+    for (int a = 0; a < kLocalSize; ++a) {
+      mean[a] = scale * static_cast<double>(lanes.total(mean_lanes[a]));
+    }
+    double along[kLocalShapeSize];
+    if constexpr (kAll) {
+      for (int a = 0; a < kLocalShapeSize; ++a) {
+        along[a] = scale * static_cast<double>(lanes.total(mean_along[a]));
+      }
+    }
+    Float scatter[kPairs];
+    for (Float& value : scatter) value = lanes.all(0.0F);
+    const auto scatterPack = [&](std::size_t k) {
+      const Float weight = light_scale * lanes.load(scratch.weights, k, end);
+      lanes.store(weight, scratch.weights, k, end);
+      if constexpr (kAll) {
+        Float deviations[kLocalSize];
+        Float weighted[kLocalSize];
+        for (int a = 0; a < kLocalSize; ++a) {
+          deviations[a] = lanes.load(scoresAt(scratch, k, a), 0U, kLanes) -
+                          lanes.all(static_cast<float>(mean[a]));
+          weighted[a] = weight * deviations[a];
+        }
+        mixture::addScatter(deviations, weighted, scatter);
+      }
+    };
+    // Lanes may be threads that have not waited for one another: each looks at its own memory.
+    if constexpr (Team::kAlone) {
+      for (int j = 0; j < candidates; ++j) {
+        scatterPack(kLanes * static_cast<std::size_t>(scratch.candidates[j]));
+      }
+    } else {
+      for (std::size_t k = 0U; k < end; k += kLanes) {
+        const Float weight = lanes.load(scratch.weights, k, end);
+        if (lanes.any(lanes.atMost(lanes.all(0.0F), weight))) scatterPack(k);
+      }
+    }
+    double missing[kPairs] = {};
+    const double member = scale * members;
+    if constexpr (kAll) {
+      const double outside = 1.0 - member;
+      for (int a = 0; a < kLocalSize; ++a) {
+        for (int b = 0; b <= a; ++b) {
+          missing[pairOf(a, b)] =
+              static_cast<double>(lanes.total(scatter[pairOf(a, b)])) + outside * mean[a] * mean[b];
+        }
+      }
+    }
+    if (!lanes.first()) return;
     powersOf(height, record.powers);
-    record.log_density = top + logarithm(sum);
+    record.log_density = static_cast<double>(top) + logarithm(sum);
     record.member = member;
     record.candidates = candidates;
+    for (int a = 0; a < kLocalSize; ++a) record.score[a] = mean[a];
     if constexpr (kAll) {
-      for (int a = 0; a < kLocalShapeSize; ++a) known[pairOf(kLocalNoise, a)] = 2.0 * mean[a];
-      known[pairOf(kLocalNoise, kLocalNoise)] = 2.0 * squares;
-      known[pairOf(kLocalElongation, kLocalNoise)] = 2.0 * difference;
-      known[pairOf(kLocalElongation, kLocalElongation)] = 2.0 * squares;
-      mixture::addSquare(mean, -1.0, missing);
+      const double squares = mean[kLocalNoise] + 2.0 * member;
+      for (int a = 0; a < kLocalShapeSize; ++a) {
+        record.known[pairOf(kLocalNoise, a)] = 2.0 * mean[a];
+        // By the pull, mirrored at the direction of the place.
+        record.known[pairOf(kLocalElongation, a)] = 2.0 * (2.0 * along[a] - mean[a]);
+      }
+      record.known[pairOf(kLocalNoise, kLocalNoise)] = 2.0 * squares;
+      record.known[pairOf(kLocalElongation, kLocalNoise)] = 2.0 * mean[kLocalElongation];
+      record.known[pairOf(kLocalElongation, kLocalElongation)] = 2.0 * squares;
       for (int a = 0; a < kPairs; ++a) record.missing[a] = missing[a];
     } else {
-      known[pairOf(kLocalNoise, kLocalNoise)] = 2.0 * member;
       const auto level = static_cast<int>((height - c.lowest) / c.slab);
       record.patch = (level < mixture::kSlabs ? level : mixture::kSlabs - 1) * mixture::kSectors +
-                     mixture::sectorOf(offset_x, offset_y);
+                     mixture::sectorOf(far_x, far_y);
     }
-    for (int a = 0; a < kLocalSize; ++a) record.score[a] = mean[a];
-    for (int a = 0; a < kPairs; ++a) record.known[a] = known[a];
+  }
+
+  /// Where a score of a pack's bins is.
+  FIELD_PHENOTYPING_HD static float* scoresAt(const mixture::PointScratch& point,
+                                              std::size_t first_bin, int local) {
+    return point.scores + first_bin * kLocalSize + static_cast<std::size_t>(local) * kLanes;
   }
 
   /// visit() for all points; add(what it found) in their order, by all members. These may read what
@@ -474,13 +615,14 @@ class SurfaceMixtureSolver {
   template <bool kAll, class Add>
   FIELD_PHENOTYPING_HD void visitPoints(const Constants& c, const Add& add) const {
     const std::size_t one = mixture::pointScratchSize(bins_);
-    for (int first = 0; first < points_.count; first += size()) {
-      if (first + rank() < points_.count) {
-        const double* point = points_.places + 3 * static_cast<std::ptrdiff_t>(first + rank());
-        visit<kAll>(point, c, mixture::pointScratchAt(of_points_ + team_.rank() * one, bins_));
+    for (int first = 0; first < points_.count; first += groups()) {
+      if (first + group() < points_.count) {
+        const double* point = points_.places + 3 * static_cast<std::ptrdiff_t>(first + group());
+        visit<kAll>(team_.lanes(), point, c,
+                    mixture::pointScratchAt(of_points_ + team_.group() * one, bins_));
       }
       team_.sync();
-      const int there = points_.count - first < size() ? points_.count - first : size();
+      const int there = points_.count - first < groups() ? points_.count - first : groups();
       for (int k = 0; k < there; ++k) {
         add(mixture::pointScratchAt(of_points_ + static_cast<std::size_t>(k) * one, bins_));
       }
@@ -503,31 +645,25 @@ class SurfaceMixtureSolver {
     evaluated_fitted_ = fitted_;
     mixture::Sums& sums = *shared_.sums;
     clear(reinterpret_cast<double*>(&sums), mixture::kSumsSize);
-    for (int k = group(); k < bins_; k += groups()) {
+    for (int k = rank(); k < bins_; k += size()) {
       // How a place moves, twice.
-      if (lane() == 0) {
-        const Direction u{shared_.x[k], shared_.y[k]};
-        double outward[kLocalShapeSize];
-        double sideward[kLocalShapeSize];
-        surfaceMotion(u, u.x, u.y, outward);
-        surfaceMotion(u, -u.y, u.x, sideward);
-        double* const stiffness = shared_.stiffness + k * mixture::kShapePairs;
-        for (int a = 0; a < kLocalShapeSize; ++a) {
-          for (int b = 0; b <= a; ++b) {
-            stiffness[pairOf(a, b)] =
-                c.along * outward[a] * outward[b] + c.across * sideward[a] * sideward[b];
-          }
+      const Direction u{shared_.x[k], shared_.y[k]};
+      double outward[kLocalShapeSize];
+      double sideward[kLocalShapeSize];
+      surfaceMotion(u, u.x, u.y, outward);
+      surfaceMotion(u, -u.y, u.x, sideward);
+      double* const stiffness = shared_.stiffness + k * mixture::kShapePairs;
+      for (int a = 0; a < kLocalShapeSize; ++a) {
+        for (int b = 0; b <= a; ++b) {
+          stiffness[pairOf(a, b)] =
+              c.along * outward[a] * outward[b] + c.across * sideward[a] * sideward[b];
         }
-        shared_.occupancy[k] = 0.0;
-        shared_.outlying[k] = 0.0;
       }
-      for (int i = lane(); i < kCrossSectionSize; i += lanes()) {
-        shared_.cross[k * kCrossSectionSize + i] = 0.0;
-      }
-      for (int i = lane(); i < bins_; i += lanes()) shared_.together[k * bins_ + i] = 0.0;
     }
+    clearBins();
     team_.sync();
     visitPoints<true>(c, [&](const mixture::PointScratch& point) { add(point, sums); });
+    addStiffness(sums);
 
     double jumps = 0.0;
     double squares = 0.0;
@@ -543,24 +679,19 @@ class SurfaceMixtureSolver {
   FIELD_PHENOTYPING_HD void clear(double* values, int count) const {
     for (int i = rank(); i < count; i += size()) values[i] = 0.0;
   }
-
-  /// visit(number among the candidates, number among the bins) for the candidates of a point that
-  /// are of this member's group.
-  template <class Visit>
-  FIELD_PHENOTYPING_HD void forEachOwnCandidate(const mixture::PointScratch& point,
-                                                const Visit& visit) const {
-    if constexpr (Team::kAlone) {
-      const auto candidates = static_cast<int>(point.record->candidates);
-      for (int j = 0; j < candidates; ++j) visit(j, static_cast<int>(point.bins[j]));
-    } else {
-      for (int k = group(); k < bins_; k += groups()) {
-        const auto j = static_cast<int>(point.places[k]);
-        if (j >= 0) visit(j, k);
-      }
-    }
+  FIELD_PHENOTYPING_HD void clearBins() const {
+    const int count = padded_ * (kHeightPowers + 1 + kCrossSectionSize + padded_);
+    for (int i = rank(); i < count; i += size()) shared_.by_height[i] = 0.0F;
   }
 
-  /// Adds what one point says; each member what is its own.
+  /// Adds to what lies at the bins of a pack.
+  template <class Lanes>
+  FIELD_PHENOTYPING_HD static void addTo(const Lanes& lanes, float* values,
+                                         const typename Lanes::Float& more) {
+    lanes.store(lanes.load(values, 0U, kLanes) + more, values, 0U, kLanes);
+  }
+
+  /// Adds what one point says; each member what is its own, of the bins those of its group's packs.
   FIELD_PHENOTYPING_HD void add(const mixture::PointScratch& point, mixture::Sums& sums) const {
     const mixture::Record& record = *point.record;
     const double outside = 1.0 - record.member;
@@ -574,32 +705,63 @@ class SurfaceMixtureSolver {
       sums.score[i] += score;
       sums.cross_outliers[i] += outside * score;
     }
-    information_.add(record.known, record.powers, sums.known);
+    information_.template add<kLocalNoise>(record.known, record.powers, sums.known);
     information_.add(record.missing, record.powers, sums.missing);
-    forEachOwnCandidate(point, [&](int j, int k) {
-      const double weight = point.weights[j];
-      const double* const score = point.scores + j * kLocalSize;
-      double* const cross = shared_.cross + k * kCrossSectionSize;
-      for (int i = lane(); i < kCrossSectionSize; i += lanes()) {
-        const int local = localOf(i);
-        cross[i] += weight * record.powers[powerOf(i)] * (score[local] - record.score[local]);
+
+    const auto lanes = team_.lanes();
+    using Float = typename std::decay_t<decltype(lanes)>::Float;
+    float powers[kHeightPowers];
+    for (int i = 0; i < kHeightPowers; ++i) powers[i] = static_cast<float>(record.powers[i]);
+    float mean[kLocalSize];
+    for (int a = 0; a < kLocalSize; ++a) mean[a] = static_cast<float>(record.score[a]);
+    forEachCandidate(point, group(), groups(), [&](int k) {
+      const Float weight = lanes.load(point.weights + k, 0U, kLanes);
+      for (int i = 0; i < kHeightPowers; ++i) {
+        addTo(lanes, shared_.by_height + i * padded_ + k, weight * lanes.all(powers[i]));
       }
-      if (lane() == 0) {
-        shared_.occupancy[k] += weight;
-        shared_.outlying[k] += outside * weight;
+      addTo(lanes, shared_.outlying + k, lanes.all(static_cast<float>(outside)) * weight);
+      Float weighted[kLocalSize];
+      for (int a = 0; a < kLocalSize; ++a) {
+        weighted[a] =
+            weight * (lanes.load(scoresAt(point, static_cast<std::size_t>(k), a), 0U, kLanes) -
+                      lanes.all(mean[a]));
       }
-      double* const together = shared_.together + k * bins_;
-      if constexpr (Team::kAlone) {
-        for (int i = 0; i <= j; ++i) {
-          together[static_cast<int>(point.bins[i])] += weight * point.weights[i];
+      addCross(lanes, weighted, powers, shared_.cross + k);
+      float* const together = shared_.together + k * padded_;
+      forEachCandidate(point, 0, 1, [&](int other) {
+        if (other > k) return;
+        const Float others = lanes.load(point.weights + other, 0U, kLanes);
+        for (int i = 0; i < kPack; ++i) {
+          addTo(lanes, together + i * padded_ + other, lanes.all(point.weights[k + i]) * others);
         }
-      } else {
-        for (int bin = lane(); bin <= k; bin += lanes()) {
-          const auto i = static_cast<int>(point.places[bin]);
-          if (i >= 0) together[bin] += weight * point.weights[i];
-        }
-      }
+      });
     });
+  }
+
+  template <int kIndex = 0, class Lanes>
+  FIELD_PHENOTYPING_HD void addCross(const Lanes& lanes, const typename Lanes::Float* weighted,
+                                     const float* powers, float* cross) const {
+    if constexpr (kIndex < kCrossSectionSize) {
+      addTo(lanes, cross + kIndex * padded_,
+            weighted[localOf(kIndex)] * lanes.all(powers[powerOf(kIndex)]));
+      addCross<kIndex + 1>(lanes, weighted, powers, cross);
+    }
+  }
+
+  /// Adds the information of the shape, if every point's bin were known, of all points at once.
+  FIELD_PHENOTYPING_HD void addStiffness(mixture::Sums& sums) const {
+    constexpr int kCount = sumsOf(kLocalShapeSize, 0);
+    for (int i = rank(); i < kCount; i += size()) {
+      const InformationSum own = informationSum(i);
+      const float* const weights = shared_.by_height + own.power * padded_;
+      double sum = 0.0;
+      for (int k = 0; k < bins_; ++k) {
+        sum += shared_.stiffness[k * mixture::kShapePairs + own.pair] *
+               static_cast<double>(weights[k]);
+      }
+      sums.known[i] = sum;
+    }
+    team_.sync();
   }
 
   /// What is taken as given in the next evaluation: priors, share of outliers, freedom.
@@ -648,8 +810,8 @@ class SurfaceMixtureSolver {
     for (int i = group(); i < kCrossSectionSize; i += groups()) {
       double* const row = shared_.matrix + i * unknowns_ + kCrossSectionSize;
       for (int k = lane(); k < bins_; k += lanes()) {
-        row[k] = -observed *
-                 (shared_.cross[k * kCrossSectionSize + i] - sums.cross_outliers[i] * shareOf(k));
+        row[k] = -observed * (static_cast<double>(shared_.cross[i * padded_ + k]) -
+                              sums.cross_outliers[i] * shareOf(k));
       }
     }
     for (int k = group(); k < bins_; k += groups()) {
@@ -658,11 +820,11 @@ class SurfaceMixtureSolver {
       for (int l = k + lane(); l < bins_; l += lanes()) {
         const double other = shareOf(l);
         double complete = -sums.members * share * other;
-        double missing = -shared_.together[l * bins_ + k] - shared_.outlying[k] * other -
-                         share * shared_.outlying[l] + sums.doubt * share * other;
+        double missing = -static_cast<double>(shared_.together[l * padded_ + k]) -
+                         outlyingOf(k) * other - share * outlyingOf(l) + sums.doubt * share * other;
         if (k == l) {
           complete += kRidge + 2.0 * smoothness_ + sums.members * share;
-          missing += shared_.occupancy[k];
+          missing += occupancyOf(k);
         }
         if (l == k + 1 || l == k + bins_ - 1) complete -= smoothness_;
         row[l] = complete - observed * missing;
@@ -683,7 +845,7 @@ class SurfaceMixtureSolver {
       const double next = log_shares[k + 1 < bins_ ? k + 1 : 0];
       const double before = log_shares[k > 0 ? k - 1 : bins_ - 1];
       shared_.right[kCrossSectionSize + k] =
-          shared_.occupancy[k] - sums.members * shareOf(k) - kRidge * log_shares[k] +
+          occupancyOf(k) - sums.members * shareOf(k) - kRidge * log_shares[k] +
           smoothness_ * ((next - log_shares[k]) - (log_shares[k] - before));
     }
     team_.sync();
@@ -696,15 +858,15 @@ class SurfaceMixtureSolver {
     double usual = 0.0;
     int first = 0;  // where to begin: at a bin that is seen
     for (int k = 0; k < bins_; ++k) {
-      const double share = shared_.occupancy[k] * scale;
+      const double share = occupancyOf(k) * scale;
       usual += share * share;
-      if (shared_.occupancy[k] > shared_.occupancy[first]) first = k;
+      if (occupancyOf(k) > occupancyOf(first)) first = k;
     }
     const auto longest = static_cast<int>(kGap * bins_);
     int unseen = 0;
     int gap = 0;
     for (int k = 1; k <= bins_; ++k) {
-      if (shared_.occupancy[(first + k) % bins_] * scale < kStray * usual) {
+      if (occupancyOf((first + k) % bins_) * scale < kStray * usual) {
         ++gap;
         continue;
       }
@@ -716,12 +878,7 @@ class SurfaceMixtureSolver {
 
   /// Covariances, of the information that is factored in the matrix.
   FIELD_PHENOTYPING_HD void addCovariance(SurfaceMixtureFit& fit) {
-    // What was summed over pairs of bins is in the matrix: there is room for columns of the
-    // inverse.
-    double* const columns = shared_.together;
-    static_assert(kCrossSectionSize * (kCrossSectionSize + mixture::kLeastBins) <=
-                      mixture::kLeastBins * mixture::kLeastBins,
-                  "columns of the inverse fit in");
+    double* const columns = shared_.columns;
     for (int r = rank(); r < kCrossSectionSize; r += size()) {
       double* const column = columns + r * unknowns_;
       columnOfInverse(shared_.matrix, unknowns_, r, column);
@@ -767,6 +924,7 @@ class SurfaceMixtureSolver {
     clear(patches, mixture::kPatches * unknowns_);
     double* const members = shared_.moved;  // of each patch
     clear(members, mixture::kPatches);
+    clearBins();
     team_.sync();
     visitPoints<false>(c, [&](const mixture::PointScratch& point) {
       const mixture::Record& record = *point.record;
@@ -776,11 +934,25 @@ class SurfaceMixtureSolver {
       for (int i = rank(); i < kCrossSectionSize; i += size()) {
         patch[i] += record.powers[powerOf(i)] * record.score[localOf(i)];
       }
-      forEachOwnCandidate(point, [&](int j, int k) {
-        if (lane() == 0) patch[kCrossSectionSize + k] += point.weights[j];
+      const auto lanes = team_.lanes();
+      forEachCandidate(point, group(), groups(), [&](int k) {
+        const auto weight = lanes.load(point.weights + k, 0U, kLanes);
+        for (int i = 0; i < kHeightPowers; ++i) {
+          addTo(lanes, shared_.by_height + i * padded_ + k,
+                weight * lanes.all(static_cast<float>(record.powers[i])));
+        }
+        for (int bin = k + lane(); bin < k + kPack && bin < bins_; bin += this->lanes()) {
+          patch[kCrossSectionSize + bin] += static_cast<double>(point.weights[bin]);
+        }
       });
-      information_.add(record.known, record.powers, sums.known);
     });
+    addStiffness(sums);
+    if (rank() == 0) {
+      // The noise is known from the whole of a point.
+      double all = 0.0;
+      for (int at = 0; at < mixture::kPatches; ++at) all += members[at];
+      sums.known[sumsOf(kLocalNoise, kLocalNoise)] = 2.0 * all;
+    }
     for (int at = group(); at < mixture::kPatches; at += groups()) {
       double* const patch = patches + at * unknowns_ + kCrossSectionSize;
       for (int k = lane(); k < bins_; k += lanes()) patch[k] -= members[at] * shareOf(k);
@@ -814,6 +986,7 @@ class SurfaceMixtureSolver {
   KnownOfStem known_;
   StemExtent extent_;
   int bins_;
+  int padded_;
   int unknowns_;
   mixture::SharedScratch shared_;
   double* of_points_;
