@@ -9,8 +9,11 @@
 /// the same bits on both.
 #ifdef __CUDACC__
 #define FIELD_PHENOTYPING_HD __host__ __device__
+/// The same for what is long and called from many places: nvcc would copy it into all of them.
+#define FIELD_PHENOTYPING_HD_ONCE __host__ __device__ __noinline__
 #else
 #define FIELD_PHENOTYPING_HD
+#define FIELD_PHENOTYPING_HD_ONCE
 #endif
 
 namespace field_phenotyping {

@@ -190,7 +190,7 @@ class CrossSectionSolver {
         expected_(team) {}
 
   /// Up to kSteps steps, fewer once little moves. Returns the logarithm of the posterior.
-  FIELD_PHENOTYPING_HD double run(CrossSectionStart& at) const {
+  FIELD_PHENOTYPING_HD_ONCE double run(CrossSectionStart& at) const {
     constexpr int kSteps = 15;
     constexpr double kNearEnough = 0.01;  // step, relative to the radius; of the noise's logarithm
     constexpr double kOutlierShare = 0.1;
@@ -221,7 +221,7 @@ class CrossSectionSolver {
   };
 
   /// Takes the sums at a place of the parameters; finds the share of outliers anew.
-  FIELD_PHENOTYPING_HD double evaluate(CrossSectionStart& at, ParameterPrior& prior) const {
+  FIELD_PHENOTYPING_HD_ONCE double evaluate(CrossSectionStart& at, ParameterPrior& prior) const {
     prior = ParameterPrior(known_, extent_, at.parameters);
     const Constants constants{at.parameters, exponential(at.parameters[kNoise]),
                               logarithm(1.0 - at.outlier_share),

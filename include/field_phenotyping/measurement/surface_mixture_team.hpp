@@ -632,7 +632,7 @@ class SurfaceMixtureSolver {
 
   /// Takes the sums at some parameters, and at the shares' logarithms moved by `share_of_step` of
   /// shared_.wished; sets what is evaluated_.
-  FIELD_PHENOTYPING_HD void evaluate(const CrossSectionVector& p, double share_of_step) {
+  FIELD_PHENOTYPING_HD_ONCE void evaluate(const CrossSectionVector& p, double share_of_step) {
     team_.sync();  // all is still being read
     for (int k = rank(); k < bins_; k += size()) {
       shared_.trial[k] =
@@ -765,7 +765,7 @@ class SurfaceMixtureSolver {
   }
 
   /// What is taken as given in the next evaluation: priors, share of outliers, freedom.
-  FIELD_PHENOTYPING_HD void update() {
+  FIELD_PHENOTYPING_HD_ONCE void update() {
     prior_ = ParameterPrior(known_, extent_, parameters_);
     constexpr double kPseudoOutliers = 0.5, kPseudoPoints = 5.0;  // keep the share off 0 and 1
     outlier_share_ =
@@ -788,7 +788,7 @@ class SurfaceMixtureSolver {
 
   /// The observed information, or as much of the complete one with it as makes it positive,
   /// factored. @return whether it is
-  FIELD_PHENOTYPING_HD bool factorInformation() const {
+  FIELD_PHENOTYPING_HD_ONCE bool factorInformation() const {
     constexpr double kSharesOfComplete[] = {0.0, 0.1, 0.25, 0.5, 1.0};
     for (const double share : kSharesOfComplete) {
       fillInformation(1.0 - share);
