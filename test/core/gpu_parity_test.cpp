@@ -210,31 +210,24 @@ TEST_F(Gpu, CrossSectionsAreTheSameBitForBit) {
   pieces.push_back(stemPiece(300U, 0.01, 6.3, 51U));    // no shape to be seen
   pieces.back().prior.noise = 0.01;
   pieces.push_back(stemPiece(4U, 0.002, 6.3, 52U));  // too few
-  const std::vector<StemCrossSection> on_cpu = fitStemCrossSections(pieces, {});
   std::size_t valid = 0U;
-  for (int run = 0; run < 2; ++run) {
-    const std::vector<StemCrossSection> on_gpu = fitStemCrossSections(pieces, device_);
-    ASSERT_EQ(on_gpu.size(), pieces.size());
-    for (std::size_t i = 0; i < pieces.size(); ++i) {
-      ASSERT_EQ(on_cpu[i].valid, on_gpu[i].valid) << i;
-      if (!on_cpu[i].valid) continue;
-      ++valid;
-      EXPECT_TRUE(sameBits(on_cpu[i], on_gpu[i]))
-          << i << ": " << on_cpu[i].major.value << " m on the CPU, " << on_gpu[i].major.value
-          << " m on the GPU";
-      pieces[i].near = on_cpu[i];
-    }
-    if (run == 0) {
-      // And from there once more.
-      const std::vector<StemCrossSection> again_on_cpu = fitStemCrossSections(pieces, {});
-      const std::vector<StemCrossSection> again_on_gpu = fitStemCrossSections(pieces, device_);
+  for (int round = 0; round < 2; ++round) {
+    const std::vector<StemCrossSection> on_cpu = fitStemCrossSections(pieces, {});
+    for (int run = 0; run < 2; ++run) {
+      const std::vector<StemCrossSection> on_gpu = fitStemCrossSections(pieces, device_);
+      ASSERT_EQ(on_gpu.size(), pieces.size());
       for (std::size_t i = 0; i < pieces.size(); ++i) {
-        EXPECT_TRUE(!on_cpu[i].valid || sameBits(again_on_cpu[i], again_on_gpu[i])) << i;
+        ASSERT_EQ(on_cpu[i].valid, on_gpu[i].valid) << i;
+        if (!on_cpu[i].valid) continue;
+        ++valid;
+        EXPECT_TRUE(sameBits(on_cpu[i], on_gpu[i]))
+            << i << ": " << on_cpu[i].major.value << " m on the CPU, " << on_gpu[i].major.value
+            << " m on the GPU";
       }
-      for (StemPiece& piece : pieces) piece.near = {};
     }
+    for (std::size_t i = 0; i < pieces.size(); ++i) pieces[i].near = on_cpu[i];  // and from there
   }
-  EXPECT_GT(valid, pieces.size());
+  EXPECT_GT(valid, 3U * pieces.size()) << "of four times as many";
 }
 
 TEST_F(Gpu, TheWholePipelineIsTheSame) {
