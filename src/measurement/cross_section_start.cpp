@@ -18,7 +18,7 @@ using Information = CrossSectionMatrix;
 constexpr int kSize = kCrossSectionSize;
 
 constexpr int kSteps = 15;
-constexpr double kConverged = 1e-5;  // step, relative to the radius
+constexpr double kNearEnough = 0.01;  // step, relative to the radius; of the noise's logarithm too
 
 /// The ellipse at one height.
 struct Ellipse {
@@ -131,7 +131,7 @@ class CrossSectionSolver {
     evaluate();
   }
 
-  /// Up to kSteps steps, fewer once nothing moves.
+  /// Up to kSteps steps, fewer once little moves.
   void run() {
     for (int i = 0; i < kSteps; ++i) {
       Parameters step = newtonStep();
@@ -141,7 +141,8 @@ class CrossSectionSolver {
       evaluate();
       const double moved = step.segment<2>(kCenter).norm() + std::abs(step[kRadius]) +
                            step.segment<2>(kEllipse).norm();
-      if (moved < kConverged * parameters_[kRadius] && std::abs(step[kNoise]) < 1e-4) return;
+      if (moved < kNearEnough * parameters_[kRadius] && std::abs(step[kNoise]) < kNearEnough)
+        return;
     }
   }
 

@@ -33,17 +33,19 @@ bool reachesBorder(const SegmentedBlock& block, const Plant& plant) {
 /// What the block's stems, those of its margin too, say of each other.
 struct BlockPrior {
   CrossSectionPrior prior;
-  std::vector<StemCrossSection> alone;  ///< of each plant, by its own points; or none
-  double median_outlier_share = 0.0;    ///< of those
+  std::vector<StemDiameter> alone;    ///< of each plant, by its own points; or none
+  double median_outlier_share = 0.0;  ///< of those
 };
 
 BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& parameters) {
   const CrossSectionPrior weak = weakPrior(parameters);
   if (parameters.mode == "paper" || !parameters.block_shape_prior) return {weak, {}, 0.0};
-  std::vector<StemCrossSection> fits(block.plants.size());
-  parallelFor(fits.size(), [&](std::size_t i) {
-    fits[i] = measureStemDiameter(block, block.plants[i], parameters, weak).section;
+  std::vector<StemDiameter> alone(block.plants.size());
+  parallelFor(alone.size(), [&](std::size_t i) {
+    alone[i] = measureStemDiameter(block, block.plants[i], parameters, weak);
   });
+  std::vector<StemCrossSection> fits;
+  for (const StemDiameter& stem : alone) fits.push_back(stem.section);
   const PopulationPrior kind =
       parameters.block_diameter_prior ? PopulationPrior::kShapeAndSize : PopulationPrior::kShape;
   const CrossSectionPrior prior = populationPrior(fits, weak, kind);
@@ -52,7 +54,7 @@ BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& 
     if (fit.valid) outliers.push_back(fit.outlier_share);
   }
   const double median_outliers = outliers.empty() ? 0.0 : medianOf(outliers);
-  return {prior, std::move(fits), median_outliers};
+  return {prior, std::move(alone), median_outliers};
 }
 
 /// Whether a stem is flatter than any other, its points scatter more than those of the block's
@@ -63,9 +65,9 @@ bool looksMerged(const BlockPrior& block, std::size_t index) {
   constexpr double kMostEllipticity = 0.2;  // (a - b) / (a + b): one axis is half as long again
   constexpr double kManyOutliers = 0.3;
   constexpr double kMoreOutliers = 3.0;  // times the median stem's
-  if (block.alone.empty() || !block.alone[index].valid) return false;
+  if (block.alone.empty() || !block.alone[index].section.valid) return false;
   if (std::isnan(block.prior.log_noise.value)) return false;  // nothing is known of the others
-  const StemCrossSection& own = block.alone[index];
+  const StemCrossSection& own = block.alone[index].section;
   const auto beyond = [](double value, double least, double own_stddev, double others_stddev) {
     return value > least && value > kStddevs * std::hypot(own_stddev, others_stddev);
   };
@@ -90,7 +92,9 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
   const PlantHeight height = measurePlantHeight(block, plant, parameters);
   phenotype.height = height.height;
 
-  const StemDiameter diameter = measureStemDiameter(block, plant, parameters, prior.prior);
+  const StemDiameter diameter =
+      measureStemDiameter(block, plant, parameters, prior.prior,
+                          prior.alone.empty() ? StemDiameter() : prior.alone[index]);
   phenotype.stem_diameter = diameter.major;
   phenotype.stem_diameter_minor = diameter.minor;
   phenotype.stem_diameter_equivalent = diameter.equivalent;

@@ -105,10 +105,41 @@ void limitEllipticity(bool only_prior, double prior_variance, Information& covar
   covariance.diagonal().segment<2>(kEllipse).setConstant(prior_variance);
 }
 
+/// The start that another fit is; it must be a sure one, for of half-seen stems, and where many
+/// points are none of the stem's, the posterior has several tops.
+bool startFrom(const StemCrossSection& near, const CrossSectionPrior& prior,
+               CrossSectionStart& start) {
+  constexpr double kMostOutliers = 0.3;  // share
+  if (!near.valid || !near.converged || near.arc_coverage < kFullArc ||
+      near.outlier_share > kMostOutliers) {
+    return false;
+  }
+  const double radius = near.radius.value;
+  Parameters& p = start.parameters;
+  p.setZero();
+  p.segment<2>(kCenter) = near.center;
+  p.segment<2>(kTilt) = near.tilt;
+  p.segment<2>(kCurvature) = near.curvature;
+  p.segment<2>(kTwist) = near.twist;
+  p[kRadius] = radius;
+  p[kTaper] = near.taper.value * radius;
+  p[kTaperChange] = near.taper_change.value * radius;
+  if (prior.ellipticity_stddev > 0.0) p.segment<2>(kEllipse) = near.ellipticity * radius;
+  p[kNoise] = near.log_noise.value;
+  if (prior.log_noise.stddev > 0.0) {
+    const double near_weight = 1.0 / std::pow(near.log_noise.stddev, 2);
+    const double prior_weight = 1.0 / std::pow(prior.log_noise.stddev, 2);
+    p[kNoise] = (near_weight * near.log_noise.value + prior_weight * prior.log_noise.value) /
+                (near_weight + prior_weight);
+  }
+  start.outlier_share = near.outlier_share;
+  return true;
+}
+
 }  // namespace
 
 StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
-                                     const CrossSectionPrior& prior) {
+                                     const CrossSectionPrior& prior, const StemCrossSection& near) {
   StemCrossSection result;
   if (points.size() < 5U) return result;
   const StemExtent extent = extentOf(points);
@@ -116,7 +147,8 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
 
   // 1. Solve; noise nearly as large as the stem leaves no shape to be seen but its size.
   CrossSectionPrior used = prior;
-  CrossSectionStart start = startCrossSection(points, used, extent);
+  CrossSectionStart start;
+  if (!startFrom(near, used, start)) start = startCrossSection(points, used, extent);
   const double blur = std::exp(start.parameters[kNoise]) / start.parameters[kRadius];
   const bool shapeless = !(blur < kMaxBlur);
   if (shapeless) {
@@ -153,6 +185,7 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
   result.center = p.segment<2>(kCenter);
   result.tilt = p.segment<2>(kTilt);
   result.curvature = p.segment<2>(kCurvature);
+  result.twist = p.segment<2>(kTwist);
   const auto relative = [&](int i) -> Trait {
     return {p[i] / p[kRadius], std::sqrt(covariance(i, i)) / p[kRadius]};
   };

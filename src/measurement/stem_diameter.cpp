@@ -166,15 +166,21 @@ Trait volumeBelow(const StemCrossSection& section, double height, double slope) 
 
 void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z,
                const Window& window, const CrossSectionPrior& prior, int min_points,
-               StemDiameter& result) {
+               const StemDiameter& before, StemDiameter& result) {
   StemFrame frame = frameAlong(plant.axis, window, wished_z);
+  if (before.section.valid) {
+    frame.origin = before.section_origin;
+    frame.axes = before.section_axes;
+  }
   std::vector<Eigen::Vector3d> points = pointsIn(block, plant, frame, window);
-  StemCrossSection section = fitStemCrossSection(points, prior);
+  StemCrossSection section = fitStemCrossSection(points, prior, before.section);
   if (section.valid && section.tilt.norm() > kMaxTilt) {
     frame.origin += frame.axes.leftCols<2>() * section.center;
     frame.axes = axesAlong(frame.axes * Eigen::Vector3d(section.tilt.x(), section.tilt.y(), 1.0));
     points = pointsIn(block, plant, frame, window);
-    section = fitStemCrossSection(points, prior);
+    section.center.setZero();
+    section.tilt.setZero();
+    section = fitStemCrossSection(points, prior, section);
   }
   if (!section.valid) {
     result.flags |= points.size() < static_cast<std::size_t>(min_points) ? kTooFewPoints : kPoorFit;
@@ -189,6 +195,8 @@ void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z,
   result.noise = section.noise;
   result.prior_share = section.prior_share;
   result.section = section;
+  result.section_origin = frame.origin;
+  result.section_axes = frame.axes;
   result.volume = volumeBelow(section, result.height, 1.0 / frame.axes(2, 2));
   result.arc_coverage = section.arc_coverage;
   result.points = static_cast<std::uint32_t>(std::lround(section.points));
@@ -238,7 +246,7 @@ CrossSectionPrior weakPrior(const MeasurementParameters& parameters) {
 
 StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant,
                                  const MeasurementParameters& parameters,
-                                 const CrossSectionPrior& prior) {
+                                 const CrossSectionPrior& prior, const StemDiameter& before) {
   StemDiameter result;
   if (plant.axis.empty()) {
     result.flags |= kTooFewPoints;
@@ -265,7 +273,7 @@ StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant
   if (parameters.mode == "paper") {
     fitAsPrinted(block, plant, wished_z, parameters, result);
   } else {
-    fitRobust(block, plant, wished_z, window, prior, parameters.min_points, result);
+    fitRobust(block, plant, wished_z, window, prior, parameters.min_points, before, result);
   }
   if (result.arc_coverage < parameters.min_arc) result.flags |= kArcBelow;
   if (result.major.stddev > kMaxRelativeStddev * result.major.value) result.flags |= kPoorFit;

@@ -33,6 +33,7 @@ struct StemCrossSection {
   Eigen::Vector2d center = Eigen::Vector2d::Zero();     ///< at height 0 [m]
   Eigen::Vector2d tilt = Eigen::Vector2d::Zero();       ///< of the true axis from the reference
   Eigen::Vector2d curvature = Eigen::Vector2d::Zero();  ///< [1/m]
+  Eigen::Vector2d twist = Eigen::Vector2d::Zero();      ///< [1/m^2]
   Trait radius;                                         ///< (a + b) / 2 at height 0 [m]
   Trait taper;         ///< change of radius with height, relative to `radius` [1/m]
   Trait taper_change;  ///< the same, with the square of height [1/m^2]
@@ -71,9 +72,13 @@ struct StemCrossSection {
 ///
 /// @param points (x, y, height): x, y across the reference axis [m], which need not be centred or
 ///        well aligned; height along it [m], 0 where the cross-section is wanted
+/// @param near where to begin: a fit of nearly the same points or with another prior. Where it is
+///        not to be trusted, as of stems half of which is not seen, the fit looks for a start
+///        itself
 /// @return invalid for fewer than five points or where no finite solution is found
 /// Thread-safe, deterministic; the order of the points does not matter beyond rounding.
 StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
-                                     const CrossSectionPrior& prior);
+                                     const CrossSectionPrior& prior,
+                                     const StemCrossSection& near = StemCrossSection());
 
 }  // namespace field_phenotyping
