@@ -5,6 +5,9 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <vector>
+
+#include "field_phenotyping/common/lanes.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -35,7 +38,6 @@ constexpr int kLocalNoise = 5;
 constexpr int kLocalElongation = 6;
 constexpr int kLocalSize = 7;
 using LocalVector = Eigen::Matrix<double, kLocalSize, 1>;
-using LocalMatrix = Eigen::Matrix<double, kLocalSize, kLocalSize>;
 
 /// Which local quantity a parameter moves, and with which power of height.
 struct Effect {
@@ -57,31 +59,56 @@ constexpr std::array<Effect, kCrossSectionSize> kEffects = {{{0, 0},
                                                              {4, 0},
                                                              {kLocalNoise, 0},
                                                              {kLocalElongation, 0}}};
+constexpr int kPairPowers =
+    8;  // of height, that products of two parameters go with, and one to fill lanes
+using Powers = Eigen::Matrix<double, kPairPowers, 1>;
 
-std::array<double, 4> powersOf(double height) {
-  return {1.0, height, height * height, height * height * height};
+Powers powersOf(double height) {
+  Powers powers;
+  powers[0] = 1.0;
+  for (int i = 1; i < kPairPowers; ++i) powers[i] = height * powers[i - 1];
+  return powers;
 }
 
-CrossSectionVector spread(const LocalVector& local, const std::array<double, 4>& powers) {
+CrossSectionVector spread(const LocalVector& local, const Powers& powers) {
   CrossSectionVector result;
   for (int i = 0; i < kCrossSectionSize; ++i) {
     const Effect& effect = kEffects[static_cast<std::size_t>(i)];
-    result[i] = powers[static_cast<std::size_t>(effect.power)] * local[effect.local];
+    result[i] = powers[effect.power] * local[effect.local];
   }
   return result;
 }
 
-void addSpread(const LocalMatrix& local, const std::array<double, 4>& powers,
-               CrossSectionMatrix& sum) {
-  for (int j = 0; j < kCrossSectionSize; ++j) {
-    const Effect& b = kEffects[static_cast<std::size_t>(j)];
-    for (int i = j; i < kCrossSectionSize; ++i) {
-      const Effect& a = kEffects[static_cast<std::size_t>(i)];
-      sum(i, j) += powers[static_cast<std::size_t>(a.power)] *
-                   powers[static_cast<std::size_t>(b.power)] * local(a.local, b.local);
-    }
-  }
+/// A symmetric matrix over the local quantities: its lower half, row by row.
+constexpr int kPairs = kLocalSize * (kLocalSize + 1) / 2;
+constexpr int kShapePairs = kLocalShapeSize * (kLocalShapeSize + 1) / 2;  // the first of them
+using LocalPairs = Eigen::Matrix<double, kPairs, 1>;
+constexpr int pairOf(int a, int b) {
+  return a < b ? pairOf(b, a) : a * (a + 1) / 2 + b;
 }
+
+/// Sums of local matrices at many heights: they are multiplied with the powers of height only here.
+class HeightSums {
+ public:
+  void add(const LocalPairs& local, const Powers& powers) {
+    sums_.noalias() += powers * local.transpose();
+  }
+  CrossSectionMatrix total() const {
+    CrossSectionMatrix result;
+    for (int j = 0; j < kCrossSectionSize; ++j) {
+      const Effect& b = kEffects[static_cast<std::size_t>(j)];
+      for (int i = 0; i < kCrossSectionSize; ++i) {
+        const Effect& a = kEffects[static_cast<std::size_t>(i)];
+        result(i, j) = sums_(a.power + b.power, pairOf(a.local, b.local));
+      }
+    }
+    return result;
+  }
+
+ private:
+  Eigen::Matrix<double, kPairPowers, kPairs> sums_ =
+      Eigen::Matrix<double, kPairPowers, kPairs>::Zero();
+};
 
 /// Inverse variances of the noise along and across the direction of a place.
 struct Precision {
@@ -93,14 +120,21 @@ struct Precision {
         across(std::exp(-2.0 * (p[kNoise] - p[kElongation]))) {}
 };
 
+/// kLanes bins side by side that a point may be of, and what it says if it is.
+struct BinGroup {
+  Eigen::Index first;  // bin
+  Floats weight;       // 0 of a bin that does not count
+  std::array<Floats, kLocalSize> score;
+  std::array<Floats, kLocalShapeSize> along;  // the part of it that pulls along the direction
+};
+
 /// What one point says: the bins that it may be of.
 struct Candidates {
   double log_density = 0.0;
-  double member = 0.0;          // that it is no outlier
-  std::vector<int> bins;        // those that count
-  std::vector<double> weights;  // of the bins; their sum is `member`
-  std::vector<LocalVector> scores;
-  LocalVector score;  // the mean
+  double member = 0.0;           // that it is no outlier; the sum of the weights
+  std::vector<BinGroup> groups;  // those with bins that count
+  LocalVector score;             // their mean, times `member`
+  LocalVector along;
 };
 
 /// The shares whose logarithms, up to a constant, are given.
@@ -141,8 +175,8 @@ SurfaceMixture::SurfaceMixture(const std::vector<Eigen::Vector3d>& points,
 template <typename Visitor>
 void SurfaceMixture::visitPoints(const CrossSectionVector& p, const Eigen::VectorXd& log_shares,
                                  const Visitor& visit) const {
-  constexpr double kNegligible = 12.0;  // of a log-likelihood
-  const auto bins = static_cast<int>(log_shares.size());
+  constexpr float kNegligible = -12.0F;  // log-likelihood, from the largest
+  constexpr float kNever = -1e30F;
   const double noise = std::exp(p[kNoise]);
   const Precision precision(p);
   const double top_share = log_shares.maxCoeff();
@@ -150,52 +184,90 @@ void SurfaceMixture::visitPoints(const CrossSectionVector& p, const Eigen::Vecto
   const double scale = std::log1p(-outlier_share_) - std::log(2.0 * M_PI * noise * noise) - log_sum;
   const double log_outlier =
       std::log(outlier_share_ / M_PI) - 2.0 * std::log(std::max(extent_.reach, 1e-9));
+
+  // Of the bins, filled up to whole lanes.
+  const Eigen::Index bins = log_shares.size();
+  const Eigen::Index padded = paddedBins();
+  Eigen::ArrayXf log_weight = Eigen::ArrayXf::Constant(padded, kNever);
+  log_weight.head(bins) = (log_shares.array() + scale).cast<float>();
   Eigen::Matrix2d ellipse;
   ellipse << p[kEllipse], p[kEllipse + 1], p[kEllipse + 1], -p[kEllipse];
-  const Eigen::Matrix2Xd elongation = ellipse * directions_;
-  Eigen::VectorXd log_weights(bins);
-  Eigen::VectorXd along(bins);
-  Eigen::Matrix2Xd residuals(2, bins);
+  Eigen::ArrayX2f directions = Eigen::ArrayX2f::Zero(padded, 2);
+  Eigen::ArrayX2f bulges = Eigen::ArrayX2f::Zero(padded, 2);
+  directions.topRows(bins) = directions_.transpose().cast<float>();
+  bulges.topRows(bins) = (ellipse * directions_).transpose().cast<float>();
+
+  const auto along_precision = static_cast<float>(precision.along);
+  const auto across_precision = static_cast<float>(precision.across);
+  std::vector<Floats> along(static_cast<std::size_t>(padded) / kLanes);
+  std::vector<Floats> across(along.size());
+  std::vector<Floats> log_weights(along.size());
   Candidates candidates;
   for (const Eigen::Vector3d& point : *points_) {
-    const Eigen::Vector2d offset = point.head<2>() - centerAt(p, point.z());
-    residuals = (-radiusAt(p, point.z()) * directions_ - elongation).colwise() + offset;
-    along = residuals.cwiseProduct(directions_).colwise().sum();
-    log_weights = log_shares -
-                  0.5 * precision.across * residuals.colwise().squaredNorm().transpose() +
-                  0.5 * (precision.across - precision.along) * along.cwiseAbs2();
-    log_weights.array() += scale;
-    const double top = std::max(log_weights.maxCoeff(), log_outlier);
-    double sum = std::exp(log_outlier - top);
-    candidates.bins.clear();
-    candidates.weights.clear();
-    candidates.scores.clear();
-    for (int k = 0; k < bins; ++k) {
-      if (log_weights[k] < top - kNegligible) continue;
-      candidates.bins.push_back(k);
-      candidates.weights.push_back(std::exp(log_weights[k] - top));
-      sum += candidates.weights.back();
+    const Eigen::Vector2f offset = (point.head<2>() - centerAt(p, point.z())).cast<float>();
+    const auto radius = static_cast<float>(radiusAt(p, point.z()));
+    Floats tops = allOf(static_cast<float>(log_outlier));
+    for (std::size_t g = 0; g < along.size(); ++g) {
+      const auto first = static_cast<Eigen::Index>(g * kLanes);
+      const Floats x = loadFloats(&directions(first, 0));
+      const Floats y = loadFloats(&directions(first, 1));
+      const Floats off_x = offset.x() - radius * x - loadFloats(&bulges(first, 0));
+      const Floats off_y = offset.y() - radius * y - loadFloats(&bulges(first, 1));
+      along[g] = off_x * x + off_y * y;
+      across[g] = off_y * x - off_x * y;
+      log_weights[g] =
+          loadFloats(&log_weight[first]) -
+          0.5F * (along_precision * along[g] * along[g] + across_precision * across[g] * across[g]);
+      tops = largerOf(tops, log_weights[g]);
     }
-    candidates.log_density = top + std::log(sum);
-    candidates.member = 0.0;
-    candidates.score.setZero();
-    for (std::size_t j = 0; j < candidates.bins.size(); ++j) {
-      candidates.weights[j] /= sum;
-      candidates.member += candidates.weights[j];
-      const int k = candidates.bins[j];
-      const Eigen::Vector2d u = directions_.col(k);
-      const Eigen::Vector2d r = residuals.col(k);
-      const Eigen::Vector2d tangent(-u.y(), u.x());
-      const double across = tangent.dot(r);
-      const double along_pull = precision.along * along[k];
-      const double across_pull = precision.across * across;
-      const double along_square = along_pull * along[k];
-      const double across_square = across_pull * across;
-      LocalVector score;
-      score << surfaceMotion(u, along_pull * u + across_pull * tangent),
-          along_square + across_square - 2.0, along_square - across_square;
-      candidates.score += candidates.weights[j] * score;
-      candidates.scores.push_back(score);
+    const float top = std::max(std::max(tops[0], tops[1]), std::max(tops[2], tops[3]));
+    candidates.groups.clear();
+    Floats sums = {};
+    for (std::size_t g = 0; g < along.size(); ++g) {
+      const Floats below = log_weights[g] - top;
+      const Integers counts = below > kNegligible;
+      if (!anyOf(counts)) continue;
+      BinGroup group;
+      group.first = static_cast<Eigen::Index>(g * kLanes);
+      group.weight = counts ? exponentialOf(largerOf(below, allOf(kNegligible))) : Floats{};
+      sums += group.weight;
+      const Floats x = loadFloats(&directions(group.first, 0));
+      const Floats y = loadFloats(&directions(group.first, 1));
+      const Floats along_pull = along_precision * along[g];
+      const Floats across_pull = across_precision * across[g];
+      const Floats pull_x = along_pull * x - across_pull * y;
+      const Floats pull_y = along_pull * y + across_pull * x;
+      const Floats along_square = along_pull * along[g];
+      const Floats across_square = across_pull * across[g];
+      group.score = {pull_x,
+                     pull_y,
+                     along_pull,
+                     x * pull_x - y * pull_y,
+                     x * pull_y + y * pull_x,
+                     along_square + across_square - 2.0F,
+                     along_square - across_square};
+      group.along = {along_pull * x, along_pull * y, along_pull, along_pull * (x * x - y * y),
+                     along_pull * (2.0F * x * y)};
+      candidates.groups.push_back(group);
+    }
+    const double members = static_cast<double>(total(sums));
+    const double sum = members + std::exp(log_outlier - static_cast<double>(top));
+    candidates.log_density = static_cast<double>(top) + std::log(sum);
+    candidates.member = members / sum;
+    std::array<Floats, kLocalSize> score = {};
+    std::array<Floats, kLocalShapeSize> score_along = {};
+    for (BinGroup& group : candidates.groups) {
+      group.weight *= static_cast<float>(1.0 / sum);
+      for (std::size_t i = 0; i < score.size(); ++i) score[i] += group.weight * group.score[i];
+      for (std::size_t i = 0; i < score_along.size(); ++i) {
+        score_along[i] += group.weight * group.along[i];
+      }
+    }
+    for (std::size_t i = 0; i < score.size(); ++i) {
+      candidates.score[static_cast<Eigen::Index>(i)] = static_cast<double>(total(score[i]));
+    }
+    for (std::size_t i = 0; i < score_along.size(); ++i) {
+      candidates.along[static_cast<Eigen::Index>(i)] = static_cast<double>(total(score_along[i]));
     }
     visit(point, candidates);
   }
@@ -204,6 +276,7 @@ void SurfaceMixture::visitPoints(const CrossSectionVector& p, const Eigen::Vecto
 SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
                                                     const Eigen::VectorXd& log_shares) const {
   const auto bins = log_shares.size();
+  const Eigen::Index padded = paddedBins();
   const Eigen::Index size = kCrossSectionSize + bins;
   Evaluation result;
 
@@ -215,68 +288,99 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
   for (Eigen::Index k = 0; k < bins; ++k) jumps[k] = log_shares[(k + 1) % bins] - log_shares[k];
   result.value -= 0.5 * smoothness_ * jumps.squaredNorm() + 0.5 * kRidge * log_shares.squaredNorm();
 
-  const Precision precision(p);
-  std::vector<LocalMatrix> stiffness;  // of the bins: how a place moves, twice
-  for (Eigen::Index k = 0; k < bins; ++k) {
-    const Eigen::Vector2d u = directions_.col(k);
-    const auto outward = surfaceMotion(u, u);
-    const auto sideward = surfaceMotion(u, Eigen::Vector2d(-u.y(), u.x()));
-    LocalMatrix both = LocalMatrix::Zero();
-    both.topLeftCorner<kLocalShapeSize, kLocalShapeSize>() =
-        precision.along * outward * outward.transpose() +
-        precision.across * sideward * sideward.transpose();
-    stiffness.push_back(both);
-  }
+  // The points.
   const Eigen::VectorXd shares = sharesOf(log_shares);
   CrossSectionVector score = CrossSectionVector::Zero();
-  CrossSectionMatrix complete = CrossSectionMatrix::Zero();
-  CrossSectionMatrix missing = CrossSectionMatrix::Zero();
-  Eigen::MatrixXd cross = Eigen::MatrixXd::Zero(kCrossSectionSize, bins);
+  HeightSums complete;
+  HeightSums missing;
   CrossSectionVector cross_outliers = CrossSectionVector::Zero();
-  Eigen::MatrixXd together = Eigen::MatrixXd::Zero(bins, bins);
-  Eigen::VectorXd outlying = Eigen::VectorXd::Zero(bins);
   double doubt = 0.0;
-  result.occupancy = Eigen::VectorXd::Zero(bins);
+  Eigen::ArrayXXf by_height = Eigen::ArrayXXf::Zero(padded, kPairPowers);  // weights times powers
+  Eigen::ArrayXXf cross_lanes = Eigen::ArrayXXf::Zero(padded, kCrossSectionSize);
+  Eigen::MatrixXf together_lanes = Eigen::MatrixXf::Zero(padded, padded);
+  Eigen::ArrayXf outlying_lanes = Eigen::ArrayXf::Zero(padded);
+  const auto addTo = [](float& first, const Floats& values) {
+    store(loadFloats(&first) + values, &first);
+  };
   visitPoints(p, log_shares, [&](const Eigen::Vector3d& point, const Candidates& c) {
-    const std::array<double, 4> powers = powersOf(point.z());
+    const Powers powers = powersOf(point.z());
+    const Eigen::Matrix<float, kPairPowers, 1> light_powers = powers.cast<float>();
+    const Eigen::Matrix<float, kLocalSize, 1> mean = c.score.cast<float>();
     result.value += c.log_density;
     result.members += c.member;
     score += spread(c.score, powers);
     const double outside = 1.0 - c.member;
     doubt += c.member * outside;
-    LocalMatrix second = -c.score * c.score.transpose();
-    LocalMatrix known = LocalMatrix::Zero();
-    double squares = 0.0;
-    double difference = 0.0;
-    for (std::size_t j = 0; j < c.bins.size(); ++j) {
-      const int k = c.bins[j];
-      const double w = c.weights[j];
-      known += w * stiffness[static_cast<std::size_t>(k)];
-      const Eigen::Vector2d u = directions_.col(k);
-      const Eigen::Vector2d pull = c.scores[j].head<2>();
-      const Eigen::Vector2d mirrored = 2.0 * u.dot(pull) * u - pull;
-      known.col(kLocalElongation).head<kLocalShapeSize>() += 2.0 * w * surfaceMotion(u, mirrored);
-      squares += w * (c.scores[j][kLocalNoise] + 2.0);
-      difference += w * c.scores[j][kLocalElongation];
-      second.noalias() += w * c.scores[j] * c.scores[j].transpose();
-      cross.col(k) += w * spread(c.scores[j] - c.score, powers);
-      result.occupancy[k] += w;
-      outlying[k] += outside * w;
-      for (std::size_t i = 0; i <= j; ++i) together(k, c.bins[i]) += w * c.weights[i];
-    }
     cross_outliers += outside * spread(c.score, powers);
-    known.col(kLocalNoise).head<kLocalShapeSize>() = 2.0 * c.score.head<kLocalShapeSize>();
-    known.bottomRightCorner<2, 2>() << 2.0 * squares, 2.0 * difference, 2.0 * difference,
-        2.0 * squares;
-    known.bottomLeftCorner<2, kLocalShapeSize>() =
-        known.topRightCorner<kLocalShapeSize, 2>().transpose();
-    addSpread(known, powers, complete);
-    addSpread(second, powers, missing);
+    std::array<Floats, kPairs> scatter = {};
+    for (const BinGroup& group : c.groups) {
+      const Floats& w = group.weight;
+      for (int i = 0; i < kPairPowers - 1; ++i) {
+        addTo(by_height(group.first, i), w * light_powers[i]);
+      }
+      addTo(outlying_lanes[group.first], static_cast<float>(outside) * w);
+      std::array<Floats, kLocalSize> deviations;
+      std::array<Floats, kLocalSize> weighted;
+      for (int i = 0; i < kLocalSize; ++i) {
+        const auto at = static_cast<std::size_t>(i);
+        deviations[at] = group.score[at] - mean[i];
+        weighted[at] = w * deviations[at];
+        for (int j = 0; j <= i; ++j) {
+          scatter[static_cast<std::size_t>(pairOf(i, j))] +=
+              weighted[at] * deviations[static_cast<std::size_t>(j)];
+        }
+      }
+      for (int i = 0; i < kCrossSectionSize; ++i) {
+        const Effect& effect = kEffects[static_cast<std::size_t>(i)];
+        addTo(cross_lanes(group.first, i),
+              weighted[static_cast<std::size_t>(effect.local)] * light_powers[effect.power]);
+      }
+      for (const BinGroup& other : c.groups) {
+        for (int i = 0; i < static_cast<int>(kLanes); ++i) {
+          addTo(together_lanes(other.first, group.first + i), w[i] * other.weight);
+        }
+      }
+    }
+    LocalPairs known = LocalPairs::Zero();
+    LocalPairs second;
+    for (int i = 0; i < kLocalSize; ++i) {
+      for (int j = 0; j <= i; ++j) {
+        const int pair = pairOf(i, j);
+        second[pair] = static_cast<double>(total(scatter[static_cast<std::size_t>(pair)])) +
+                       outside * c.score[i] * c.score[j];
+      }
+    }
+    for (int i = 0; i < kLocalShapeSize; ++i) {
+      known[pairOf(kLocalNoise, i)] = 2.0 * c.score[i];
+      known[pairOf(kLocalElongation, i)] = 2.0 * (2.0 * c.along[i] - c.score[i]);
+    }
+    const double squares = c.score[kLocalNoise] + 2.0 * c.member;
+    known[pairOf(kLocalNoise, kLocalNoise)] = 2.0 * squares;
+    known[pairOf(kLocalElongation, kLocalElongation)] = 2.0 * squares;
+    known[pairOf(kLocalElongation, kLocalNoise)] = 2.0 * c.score[kLocalElongation];
+    complete.add(known, powers);
+    missing.add(second, powers);
   });
+  const Precision precision(p);
+  for (Eigen::Index k = 0; k < bins; ++k) {
+    const Eigen::Vector2d u = directions_.col(k);
+    const SurfaceMotion outward = surfaceMotion(u, u);
+    const SurfaceMotion sideward = surfaceMotion(u, Eigen::Vector2d(-u.y(), u.x()));
+    LocalPairs stiffness = LocalPairs::Zero();  // of a place: how it moves, twice
+    for (int i = 0; i < kLocalShapeSize; ++i) {
+      for (int j = 0; j <= i; ++j) {
+        stiffness[pairOf(i, j)] = precision.along * outward[i] * outward[j] +
+                                  precision.across * sideward[i] * sideward[j];
+      }
+    }
+    complete.add(stiffness, by_height.row(k).transpose().matrix().cast<double>());
+  }
+  result.occupancy = by_height.col(0).head(bins).matrix().cast<double>();
+  const Eigen::VectorXd outlying = outlying_lanes.head(bins).matrix().cast<double>();
+  const Eigen::MatrixXd together = together_lanes.topLeftCorner(bins, bins).cast<double>();
 
   score -= prior_.weight.cwiseProduct(deviation);
   score[kNoise] += fitted_;
-  complete.diagonal() += prior_.weight;
   result.score.resize(size);
   result.score.head<kCrossSectionSize>() = score;
   Eigen::MatrixXd smooth = Eigen::MatrixXd::Zero(bins, bins);
@@ -294,20 +398,20 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
   Eigen::MatrixXd share_complete = smooth;
   share_complete.diagonal() += result.members * shares;
   share_complete -= result.members * shares * shares.transpose();
-  Eigen::MatrixXd share_missing = -(together + Eigen::MatrixXd(together.transpose()));
-  share_missing.diagonal() += together.diagonal() + result.occupancy;
+  Eigen::MatrixXd share_missing = -together;
+  share_missing.diagonal() += result.occupancy;
   share_missing -= outlying * shares.transpose() + shares * outlying.transpose();
   share_missing += doubt * shares * shares.transpose();
 
   result.complete = Eigen::MatrixXd::Zero(size, size);
-  result.complete.topLeftCorner<kCrossSectionSize, kCrossSectionSize>() =
-      complete.selfadjointView<Eigen::Lower>();
+  result.complete.topLeftCorner<kCrossSectionSize, kCrossSectionSize>() = complete.total();
+  result.complete.diagonal().head<kCrossSectionSize>() += prior_.weight;
   result.complete.bottomRightCorner(bins, bins) = share_complete;
   result.observed = result.complete;
-  result.observed.topLeftCorner<kCrossSectionSize, kCrossSectionSize>() -=
-      CrossSectionMatrix(missing.selfadjointView<Eigen::Lower>());
+  result.observed.topLeftCorner<kCrossSectionSize, kCrossSectionSize>() -= missing.total();
   result.observed.bottomRightCorner(bins, bins) -= share_missing;
-  cross -= cross_outliers * shares.transpose();
+  const Eigen::MatrixXd cross = cross_lanes.topRows(bins).matrix().transpose().cast<double>() -
+                                cross_outliers * shares.transpose();
   result.observed.topRightCorner(kCrossSectionSize, bins) = -cross;
   result.observed.bottomLeftCorner(bins, kCrossSectionSize) = -cross.transpose();
   return result;
@@ -322,6 +426,11 @@ void SurfaceMixture::update() {
       evaluation_.complete.topLeftCorner<kCrossSectionSize, kCrossSectionSize>().llt().solve(
           CrossSectionMatrix::Identity());
   fitted_ = kNoise - prior_.weight.head<kNoise>().dot(inverse.diagonal().head<kNoise>());
+}
+
+Eigen::Index SurfaceMixture::paddedBins() const {
+  constexpr auto kWhole = static_cast<Eigen::Index>(kLanes);
+  return (log_shares_.size() + kWhole - 1) / kWhole * kWhole;
 }
 
 Eigen::LLT<Eigen::MatrixXd> SurfaceMixture::information() const {
@@ -411,15 +520,20 @@ SurfaceMixture::Covariance SurfaceMixture::covariance() const {
   shape << parameters_[kRadius] + parameters_[kEllipse], parameters_[kEllipse + 1],
       parameters_[kEllipse + 1], parameters_[kRadius] - parameters_[kEllipse];
   const Precision precision(parameters_);
-  std::vector<LocalMatrix> informations;
+  std::vector<LocalPairs> informations;
   for (Eigen::Index k = 0; k < bins; ++k) {
     const Eigen::Vector2d u = directions_.col(k);
     const Eigen::Vector2d n = (shape.inverse() * u).normalized();
-    LocalVector motion = LocalVector::Zero();
-    motion.head<kLocalShapeSize>() = surfaceMotion(u, n);
-    informations.push_back(precision.along * motion * motion.transpose());
+    const SurfaceMotion motion = surfaceMotion(u, n);
+    LocalPairs information = LocalPairs::Zero();
+    for (int i = 0; i < kLocalShapeSize; ++i) {
+      for (int j = 0; j <= i; ++j) {
+        information[pairOf(i, j)] = precision.along * motion[i] * motion[j];
+      }
+    }
+    informations.push_back(information);
   }
-  CrossSectionMatrix bound = prior_.weight.asDiagonal();
+  HeightSums sums;
 
   const auto [low, high] = std::minmax_element(
       points_->begin(), points_->end(),
@@ -435,19 +549,23 @@ SurfaceMixture::Covariance SurfaceMixture::covariance() const {
     auto patch = patches.col(level * kSectors + sector);
     patch.head<kCrossSectionSize>() += spread(c.score, powersOf(point.z()));
     patch.tail(bins) -= c.member * shares;
-    LocalMatrix information = LocalMatrix::Zero();
-    for (std::size_t j = 0; j < c.bins.size(); ++j) {
-      patch[kCrossSectionSize + c.bins[j]] += c.weights[j];
-      information += c.weights[j] * informations[static_cast<std::size_t>(c.bins[j])];
+    LocalPairs information = LocalPairs::Zero();
+    for (const BinGroup& group : c.groups) {
+      for (Eigen::Index i = 0; i < std::min<Eigen::Index>(kLanes, bins - group.first); ++i) {
+        const Eigen::Index k = group.first + i;
+        const auto weight = static_cast<double>(group.weight[i]);
+        patch[kCrossSectionSize + k] += weight;
+        information += weight * informations[static_cast<std::size_t>(k)];
+      }
     }
-    information(kLocalNoise, kLocalNoise) = 2.0 * c.member;
-    addSpread(information, powersOf(point.z()), bound);
+    information[pairOf(kLocalNoise, kLocalNoise)] = 2.0 * c.member;
+    sums.add(information, powersOf(point.z()));
   });
+  CrossSectionMatrix bound = sums.total();
+  bound.diagonal() += prior_.weight;
   const Eigen::MatrixXd moved = rows * patches;
   result.patches = moved * moved.transpose();
-  result.bound = CrossSectionMatrix(bound.selfadjointView<Eigen::Lower>())
-                     .llt()
-                     .solve(CrossSectionMatrix::Identity());
+  result.bound = bound.llt().solve(CrossSectionMatrix::Identity());
   return result;
 }
 

@@ -73,6 +73,8 @@ class SurfaceMixture {
   void update();
   /// The observed information, or as much of the complete one with it as makes it positive.
   Eigen::LLT<Eigen::MatrixXd> information() const;
+  /// How many bins there are, filled up to whole lanes.
+  Eigen::Index paddedBins() const;
   /// visit(point, candidate bins) for every point.
   template <typename Visitor>
   void visitPoints(const CrossSectionVector& parameters, const Eigen::VectorXd& log_shares,
