@@ -61,6 +61,34 @@ SurfaceMotion surfaceMotion(const Eigen::Vector2d& u, const Eigen::Vector2d& dir
   return motion;
 }
 
+HeightPowers heightPowers(double height) {
+  HeightPowers powers;
+  powers[0] = 1.0;
+  for (int i = 1; i < kHeightPowers; ++i) powers[i] = height * powers[i - 1];
+  return powers;
+}
+
+CrossSectionVector spread(const LocalVector& local, const HeightPowers& powers) {
+  CrossSectionVector result;
+  for (int i = 0; i < kCrossSectionSize; ++i) {
+    const ParameterEffect& effect = kParameterEffects[static_cast<std::size_t>(i)];
+    result[i] = powers[effect.power] * local[effect.local];
+  }
+  return result;
+}
+
+CrossSectionMatrix HeightSums::total() const {
+  CrossSectionMatrix result;
+  for (int j = 0; j < kCrossSectionSize; ++j) {
+    const ParameterEffect& b = kParameterEffects[static_cast<std::size_t>(j)];
+    for (int i = 0; i < kCrossSectionSize; ++i) {
+      const ParameterEffect& a = kParameterEffects[static_cast<std::size_t>(i)];
+      result(i, j) = sums_(a.power + b.power, localPair(a.local, b.local));
+    }
+  }
+  return result;
+}
+
 void limitStep(const CrossSectionVector& parameters, CrossSectionVector& step) {
   const double radius = parameters[kRadius];
   const double length = std::max(

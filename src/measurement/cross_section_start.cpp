@@ -15,7 +15,6 @@ namespace {
 
 using Parameters = CrossSectionVector;
 using Information = CrossSectionMatrix;
-constexpr int kSize = kCrossSectionSize;
 
 constexpr int kSteps = 15;
 constexpr double kNearEnough = 0.01;  // step, relative to the radius; of the noise's logarithm too
@@ -99,18 +98,23 @@ SurfaceMotion secondDerivative(const Ellipse& ellipse, const Eigen::Vector2d& di
          (kStep * kStep * speed[1]);
 }
 
-Eigen::Matrix<double, kSize, 3> jacobianOf(const SurfaceMotion& motion, double height) {
-  Eigen::Matrix<double, kSize, 3> jacobian = Eigen::Matrix<double, kSize, 3>::Zero();
-  jacobian.block<2, 1>(kCenter, 0) = motion.head<2>();
-  jacobian.block<2, 1>(kTilt, 0) = height * motion.head<2>();
-  jacobian.block<2, 1>(kCurvature, 0) = height * height * motion.head<2>();
-  jacobian.block<2, 1>(kTwist, 0) = height * height * height * motion.head<2>();
-  jacobian(kRadius, 1) = motion[2];
-  jacobian(kTaper, 1) = height * motion[2];
-  jacobian(kTaperChange, 1) = height * height * motion[2];
-  jacobian.block<2, 1>(kEllipse, 1) = motion.tail<2>();
-  jacobian(kNoise, 2) = 1.0;
+/// How the local quantities move them: two shift the surface, the next three let it grow.
+using LocalJacobian = Eigen::Matrix<double, kLocalSize, 3>;
+LocalJacobian jacobianOf(const SurfaceMotion& motion) {
+  LocalJacobian jacobian = LocalJacobian::Zero();
+  jacobian.block<2, 1>(0, 0) = motion.head<2>();
+  jacobian.block<3, 1>(2, 1) = motion.tail<3>();
+  jacobian(kLocalNoise, 2) = 1.0;
   return jacobian;
+}
+
+LocalPairs pairsOf(const LocalJacobian& jacobian, const LocalInformation& information) {
+  const LocalJacobian half = jacobian.lazyProduct(information);
+  LocalPairs pairs;
+  for (int i = 0; i < kLocalSize; ++i) {
+    for (int j = 0; j <= i; ++j) pairs[localPair(i, j)] = half.row(i).dot(jacobian.row(j));
+  }
+  return pairs;
 }
 
 /// What the points say at one place of the parameters.
@@ -156,13 +160,18 @@ class CrossSectionSolver {
   void evaluate() {
     prior_ = ParameterPrior(given_, extent_, parameters_);
     evaluation_ = Evaluation();
-    for (const Eigen::Vector3d& point : *points_) addPoint(point, evaluation_);
+    HeightSums observed;
+    HeightSums expected;
+    for (const Eigen::Vector3d& point : *points_) addPoint(point, evaluation_, observed, expected);
+    evaluation_.observed = observed.total();
+    evaluation_.expected = expected.total();
     constexpr double kPseudoOutliers = 0.5, kPseudoPoints = 5.0;  // keep the share off 0 and 1
     outlier_share_ = (evaluation_.outliers + kPseudoOutliers) / (count() + kPseudoPoints);
     addPriors();
   }
 
-  void addPoint(const Eigen::Vector3d& point, Evaluation& evaluation) const {
+  void addPoint(const Eigen::Vector3d& point, Evaluation& evaluation, HeightSums& observed_sums,
+                HeightSums& expected_sums) const {
     const Ellipse ellipse = ellipseAt(parameters_, point.z());
     const Eigen::Vector2d offset = point.head<2>() - centerAt(parameters_, point.z());
     const Foot foot = footOf(ellipse, offset);
@@ -197,33 +206,24 @@ class CrossSectionSolver {
     expected << precision, precision, 0.0, precision, precision, 0.0, 0.0, 0.0, 2.0 * member;
 
     const SurfaceMotion motion = motionAt(foot);
-    const auto jacobian = jacobianOf(motion, point.z());
+    const LocalJacobian jacobian = jacobianOf(motion);
+    const HeightPowers powers = heightPowers(point.z());
     evaluation.value += log_density;
     evaluation.outliers += 1.0 - member;
-    evaluation.score.noalias() += jacobian * score;
-    addBend(ellipse, foot, point.z(), member, evaluation);
-    // Eigen would take its kernel for large matrices.
-    evaluation.observed += (jacobian * second).eval().lazyProduct(jacobian.transpose());
-    evaluation.expected += (jacobian * expected).eval().lazyProduct(jacobian.transpose());
+    LocalVector local_score = jacobian.lazyProduct(score);
+    local_score.head<kLocalShapeSize>() += bendAt(ellipse, foot, member);
+    evaluation.score += spread(local_score, powers);
+    observed_sums.add(pairsOf(jacobian, second), powers);
+    expected_sums.add(pairsOf(jacobian, expected), powers);
   }
 
   /// Noise along the surface moves a point away from where its motion was taken. Without this term
   /// the ends of a half-seen arc pull on the fit: E[score] = -s^2/2 k J'' for motion J and
   /// curvature k, the damping being a stand-in for higher orders.
-  void addBend(const Ellipse& ellipse, const Foot& foot, double height, double member,
-               Evaluation& evaluation) const {
+  SurfaceMotion bendAt(const Ellipse& ellipse, const Foot& foot, double member) const {
     const double noise = std::exp(parameters_[kNoise]) / foot.radius;
     const double weight = 0.5 * noise * noise / (1.0 + noise * noise) * member;
-    const SurfaceMotion bend =
-        weight * foot.flatness * foot.radius * secondDerivative(ellipse, foot.direction);
-    evaluation.score.segment<2>(kCenter) += bend.head<2>();
-    evaluation.score.segment<2>(kTilt) += height * bend.head<2>();
-    evaluation.score.segment<2>(kCurvature) += height * height * bend.head<2>();
-    evaluation.score.segment<2>(kTwist) += height * height * height * bend.head<2>();
-    evaluation.score[kRadius] += bend[2];
-    evaluation.score[kTaper] += height * bend[2];
-    evaluation.score[kTaperChange] += height * height * bend[2];
-    evaluation.score.segment<2>(kEllipse) += bend.tail<2>();
+    return weight * foot.flatness * foot.radius * secondDerivative(ellipse, foot.direction);
   }
 
   void addPriors() {

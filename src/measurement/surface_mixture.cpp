@@ -31,85 +31,6 @@ constexpr double kMostLogStep = 3.0;  // of a share
 constexpr int kSectors = 12;          // patches that the covariance is checked on
 constexpr int kSlabs = 3;
 
-// A place of the surface moves by a shift in x and y, by the radius, and by the two components of
-// ellipticity; the others are the noise and its elongation.
-constexpr int kLocalShapeSize = 5;
-constexpr int kLocalNoise = 5;
-constexpr int kLocalElongation = 6;
-constexpr int kLocalSize = 7;
-using LocalVector = Eigen::Matrix<double, kLocalSize, 1>;
-
-/// Which local quantity a parameter moves, and with which power of height.
-struct Effect {
-  int local;
-  int power;
-};
-constexpr std::array<Effect, kCrossSectionSize> kEffects = {{{0, 0},
-                                                             {1, 0},
-                                                             {0, 1},
-                                                             {1, 1},
-                                                             {0, 2},
-                                                             {1, 2},
-                                                             {0, 3},
-                                                             {1, 3},
-                                                             {2, 0},
-                                                             {2, 1},
-                                                             {2, 2},
-                                                             {3, 0},
-                                                             {4, 0},
-                                                             {kLocalNoise, 0},
-                                                             {kLocalElongation, 0}}};
-constexpr int kPairPowers =
-    8;  // of height, that products of two parameters go with, and one to fill lanes
-using Powers = Eigen::Matrix<double, kPairPowers, 1>;
-
-Powers powersOf(double height) {
-  Powers powers;
-  powers[0] = 1.0;
-  for (int i = 1; i < kPairPowers; ++i) powers[i] = height * powers[i - 1];
-  return powers;
-}
-
-CrossSectionVector spread(const LocalVector& local, const Powers& powers) {
-  CrossSectionVector result;
-  for (int i = 0; i < kCrossSectionSize; ++i) {
-    const Effect& effect = kEffects[static_cast<std::size_t>(i)];
-    result[i] = powers[effect.power] * local[effect.local];
-  }
-  return result;
-}
-
-/// A symmetric matrix over the local quantities: its lower half, row by row.
-constexpr int kPairs = kLocalSize * (kLocalSize + 1) / 2;
-constexpr int kShapePairs = kLocalShapeSize * (kLocalShapeSize + 1) / 2;  // the first of them
-using LocalPairs = Eigen::Matrix<double, kPairs, 1>;
-constexpr int pairOf(int a, int b) {
-  return a < b ? pairOf(b, a) : a * (a + 1) / 2 + b;
-}
-
-/// Sums of local matrices at many heights: they are multiplied with the powers of height only here.
-class HeightSums {
- public:
-  void add(const LocalPairs& local, const Powers& powers) {
-    sums_.noalias() += powers * local.transpose();
-  }
-  CrossSectionMatrix total() const {
-    CrossSectionMatrix result;
-    for (int j = 0; j < kCrossSectionSize; ++j) {
-      const Effect& b = kEffects[static_cast<std::size_t>(j)];
-      for (int i = 0; i < kCrossSectionSize; ++i) {
-        const Effect& a = kEffects[static_cast<std::size_t>(i)];
-        result(i, j) = sums_(a.power + b.power, pairOf(a.local, b.local));
-      }
-    }
-    return result;
-  }
-
- private:
-  Eigen::Matrix<double, kPairPowers, kPairs> sums_ =
-      Eigen::Matrix<double, kPairPowers, kPairs>::Zero();
-};
-
 /// Inverse variances of the noise along and across the direction of a place.
 struct Precision {
   double along;
@@ -295,7 +216,7 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
   HeightSums missing;
   CrossSectionVector cross_outliers = CrossSectionVector::Zero();
   double doubt = 0.0;
-  Eigen::ArrayXXf by_height = Eigen::ArrayXXf::Zero(padded, kPairPowers);  // weights times powers
+  Eigen::ArrayXXf by_height = Eigen::ArrayXXf::Zero(padded, kHeightPowers);  // weights times powers
   Eigen::ArrayXXf cross_lanes = Eigen::ArrayXXf::Zero(padded, kCrossSectionSize);
   Eigen::MatrixXf together_lanes = Eigen::MatrixXf::Zero(padded, padded);
   Eigen::ArrayXf outlying_lanes = Eigen::ArrayXf::Zero(padded);
@@ -303,8 +224,8 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
     store(loadFloats(&first) + values, &first);
   };
   visitPoints(p, log_shares, [&](const Eigen::Vector3d& point, const Candidates& c) {
-    const Powers powers = powersOf(point.z());
-    const Eigen::Matrix<float, kPairPowers, 1> light_powers = powers.cast<float>();
+    const HeightPowers powers = heightPowers(point.z());
+    const Eigen::Matrix<float, kHeightPowers, 1> light_powers = powers.cast<float>();
     const Eigen::Matrix<float, kLocalSize, 1> mean = c.score.cast<float>();
     result.value += c.log_density;
     result.members += c.member;
@@ -312,10 +233,10 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
     const double outside = 1.0 - c.member;
     doubt += c.member * outside;
     cross_outliers += outside * spread(c.score, powers);
-    std::array<Floats, kPairs> scatter = {};
+    std::array<Floats, kLocalPairs> scatter = {};
     for (const BinGroup& group : c.groups) {
       const Floats& w = group.weight;
-      for (int i = 0; i < kPairPowers - 1; ++i) {
+      for (int i = 0; i < kHeightPowers - 1; ++i) {
         addTo(by_height(group.first, i), w * light_powers[i]);
       }
       addTo(outlying_lanes[group.first], static_cast<float>(outside) * w);
@@ -326,12 +247,12 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
         deviations[at] = group.score[at] - mean[i];
         weighted[at] = w * deviations[at];
         for (int j = 0; j <= i; ++j) {
-          scatter[static_cast<std::size_t>(pairOf(i, j))] +=
+          scatter[static_cast<std::size_t>(localPair(i, j))] +=
               weighted[at] * deviations[static_cast<std::size_t>(j)];
         }
       }
       for (int i = 0; i < kCrossSectionSize; ++i) {
-        const Effect& effect = kEffects[static_cast<std::size_t>(i)];
+        const ParameterEffect& effect = kParameterEffects[static_cast<std::size_t>(i)];
         addTo(cross_lanes(group.first, i),
               weighted[static_cast<std::size_t>(effect.local)] * light_powers[effect.power]);
       }
@@ -345,19 +266,19 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
     LocalPairs second;
     for (int i = 0; i < kLocalSize; ++i) {
       for (int j = 0; j <= i; ++j) {
-        const int pair = pairOf(i, j);
+        const int pair = localPair(i, j);
         second[pair] = static_cast<double>(total(scatter[static_cast<std::size_t>(pair)])) +
                        outside * c.score[i] * c.score[j];
       }
     }
     for (int i = 0; i < kLocalShapeSize; ++i) {
-      known[pairOf(kLocalNoise, i)] = 2.0 * c.score[i];
-      known[pairOf(kLocalElongation, i)] = 2.0 * (2.0 * c.along[i] - c.score[i]);
+      known[localPair(kLocalNoise, i)] = 2.0 * c.score[i];
+      known[localPair(kLocalElongation, i)] = 2.0 * (2.0 * c.along[i] - c.score[i]);
     }
     const double squares = c.score[kLocalNoise] + 2.0 * c.member;
-    known[pairOf(kLocalNoise, kLocalNoise)] = 2.0 * squares;
-    known[pairOf(kLocalElongation, kLocalElongation)] = 2.0 * squares;
-    known[pairOf(kLocalElongation, kLocalNoise)] = 2.0 * c.score[kLocalElongation];
+    known[localPair(kLocalNoise, kLocalNoise)] = 2.0 * squares;
+    known[localPair(kLocalElongation, kLocalElongation)] = 2.0 * squares;
+    known[localPair(kLocalElongation, kLocalNoise)] = 2.0 * c.score[kLocalElongation];
     complete.add(known, powers);
     missing.add(second, powers);
   });
@@ -369,8 +290,8 @@ SurfaceMixture::Evaluation SurfaceMixture::evaluate(const CrossSectionVector& p,
     LocalPairs stiffness = LocalPairs::Zero();  // of a place: how it moves, twice
     for (int i = 0; i < kLocalShapeSize; ++i) {
       for (int j = 0; j <= i; ++j) {
-        stiffness[pairOf(i, j)] = precision.along * outward[i] * outward[j] +
-                                  precision.across * sideward[i] * sideward[j];
+        stiffness[localPair(i, j)] = precision.along * outward[i] * outward[j] +
+                                     precision.across * sideward[i] * sideward[j];
       }
     }
     complete.add(stiffness, by_height.row(k).transpose().matrix().cast<double>());
@@ -528,7 +449,7 @@ SurfaceMixture::Covariance SurfaceMixture::covariance() const {
     LocalPairs information = LocalPairs::Zero();
     for (int i = 0; i < kLocalShapeSize; ++i) {
       for (int j = 0; j <= i; ++j) {
-        information[pairOf(i, j)] = precision.along * motion[i] * motion[j];
+        information[localPair(i, j)] = precision.along * motion[i] * motion[j];
       }
     }
     informations.push_back(information);
@@ -547,7 +468,7 @@ SurfaceMixture::Covariance SurfaceMixture::covariance() const {
     const int sector = std::min(static_cast<int>(turn * kSectors), kSectors - 1);
     const int level = std::min(static_cast<int>((point.z() - low->z()) / slab), kSlabs - 1);
     auto patch = patches.col(level * kSectors + sector);
-    patch.head<kCrossSectionSize>() += spread(c.score, powersOf(point.z()));
+    patch.head<kCrossSectionSize>() += spread(c.score, heightPowers(point.z()));
     patch.tail(bins) -= c.member * shares;
     LocalPairs information = LocalPairs::Zero();
     for (const BinGroup& group : c.groups) {
@@ -558,8 +479,8 @@ SurfaceMixture::Covariance SurfaceMixture::covariance() const {
         information += weight * informations[static_cast<std::size_t>(k)];
       }
     }
-    information[pairOf(kLocalNoise, kLocalNoise)] = 2.0 * c.member;
-    sums.add(information, powersOf(point.z()));
+    information[localPair(kLocalNoise, kLocalNoise)] = 2.0 * c.member;
+    sums.add(information, heightPowers(point.z()));
   });
   CrossSectionMatrix bound = sums.total();
   bound.diagonal() += prior_.weight;

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <vector>
 
 #include "field_phenotyping/measurement/stem_cross_section.hpp"
@@ -38,6 +39,65 @@ double radiusAt(const CrossSectionVector& parameters, double height);
 using SurfaceMotion = Eigen::Matrix<double, 5, 1>;
 /// @param u the place, as the unit vector of its parameter
 SurfaceMotion surfaceMotion(const Eigen::Vector2d& u, const Eigen::Vector2d& direction);
+
+/// What a point's likelihood depends on: how far its place of the surface moves (SurfaceMotion, in
+/// its order), the noise and its elongation, as in CrossSectionIndex.
+enum LocalIndex { kLocalNoise = 5, kLocalElongation = 6 };
+constexpr int kLocalShapeSize = 5;
+constexpr int kLocalSize = 7;
+using LocalVector = Eigen::Matrix<double, kLocalSize, 1>;
+
+/// Which local quantity a parameter moves, and with which power of height.
+struct ParameterEffect {
+  int local;
+  int power;
+};
+constexpr std::array<ParameterEffect, kCrossSectionSize> kParameterEffects = {
+    {{0, 0},
+     {1, 0},
+     {0, 1},
+     {1, 1},
+     {0, 2},
+     {1, 2},
+     {0, 3},
+     {1, 3},
+     {2, 0},
+     {2, 1},
+     {2, 2},
+     {3, 0},
+     {4, 0},
+     {kLocalNoise, 0},
+     {kLocalElongation, 0}}};
+
+/// Powers of height that products of two parameters go with, and one more to fill lanes.
+constexpr int kHeightPowers = 8;
+using HeightPowers = Eigen::Matrix<double, kHeightPowers, 1>;
+HeightPowers heightPowers(double height);
+
+/// Derivatives by the parameters of what a point at that height says, from those by the local
+/// quantities.
+CrossSectionVector spread(const LocalVector& local, const HeightPowers& powers);
+
+/// A symmetric matrix over the local quantities: its lower half, row by row.
+constexpr int kLocalPairs = kLocalSize * (kLocalSize + 1) / 2;
+using LocalPairs = Eigen::Matrix<double, kLocalPairs, 1>;
+constexpr int localPair(int a, int b) {
+  return a < b ? localPair(b, a) : a * (a + 1) / 2 + b;
+}
+
+/// Second derivatives by the parameters, summed over points: those by the local quantities meet the
+/// powers of height only once.
+class HeightSums {
+ public:
+  void add(const LocalPairs& local, const HeightPowers& powers) {
+    sums_.noalias() += powers * local.transpose();
+  }
+  CrossSectionMatrix total() const;
+
+ private:
+  Eigen::Matrix<double, kHeightPowers, kLocalPairs> sums_ =
+      Eigen::Matrix<double, kHeightPowers, kLocalPairs>::Zero();
+};
 
 /// Keeps a step within what a local quadratic model can be trusted for.
 void limitStep(const CrossSectionVector& parameters, CrossSectionVector& step);
