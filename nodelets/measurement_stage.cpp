@@ -33,7 +33,9 @@ MeasurementStage::~MeasurementStage() {
 boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
     const CompletedBlock& block, const MeasurementParameters& parameters) {
   const BlockHeader& header = headerOf(block);
-  const PlantTable::Change change = plants_.update(header, measureBlock(block, parameters));
+  const PlantTable::Change change =
+      plants_.update(header, measureBlock(block, parameters, stage_.device()));
+  showDeviceUse(stage_.device(), stage_.health());
   const std::vector<Phenotype> plants = plants_.table().plantsOf(header.index);
   header_ = messageHeader(header);
   noteFirstValues(header, change.added);

@@ -59,18 +59,32 @@ class VoxelLabels {
   void setHeightDatum(double z) { map_.setHeightDatum(z); }
 
   /// Plants reach into their neighbours' tiles; a block has the last word in its own.
-  void add(const SegmentedBlock& block) {
-    for (const Plant& plant : block.plants) {
-      if (!plant.owned) continue;
-      for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
-        const Part part = i < plant.stem.end ? Part::kStem : Part::kOther;
-        const Eigen::Vector3d p = block.cloud.mapPoint(i);
-        const BlockIndex tile = map_.tileAt(p.x(), p.y());
-        const auto [label, is_new] =
-            labels_[tile].tryEmplace(keyOf(p, tile), PointLabel{plant.id, part});
-        if (!is_new && tile == block.header.index) *label = {plant.id, part};
-      }
+  void addAll(const std::vector<std::shared_ptr<SegmentedBlock>>& blocks) {
+    std::vector<std::map<BlockIndex, std::vector<Labelled>>> by_block(blocks.size());
+    parallelFor(blocks.size(), [&](std::size_t b) { by_block[b] = labelled(*blocks[b]); });
+    for (const auto& tiles : by_block) {
+      for (const auto& tile : tiles) labels_[tile.first];
     }
+    std::vector<std::pair<const BlockIndex, KeyMap<PointLabel>>*> tiles;
+    for (auto& tile : labels_) tiles.push_back(&tile);
+    parallelFor(tiles.size(), [&](std::size_t t) {
+      auto& [tile, labels] = *tiles[t];
+      std::size_t most = 0U;
+      for (const auto& by_tile : by_block) {
+        const auto found = by_tile.find(tile);
+        if (found != by_tile.end()) most += found->second.size();
+      }
+      labels.reserve(most);
+      for (std::size_t b = 0; b < blocks.size(); ++b) {
+        const auto found = by_block[b].find(tile);
+        if (found == by_block[b].end()) continue;
+        const bool is_own = tile == blocks[b]->header.index;
+        for (const Labelled& voxel : found->second) {
+          const auto [label, is_new] = labels.tryEmplace(voxel.key, voxel.label);
+          if (!is_new && is_own) *label = voxel.label;
+        }
+      }
+    });
   }
 
   PointLabel at(const Eigen::Vector3d& p) const {
@@ -85,6 +99,26 @@ class VoxelLabels {
   }
 
  private:
+  struct Labelled {
+    VoxelKey key;
+    PointLabel label;
+  };
+
+  /// The voxels of a block's own plants, by tile.
+  std::map<BlockIndex, std::vector<Labelled>> labelled(const SegmentedBlock& block) const {
+    std::map<BlockIndex, std::vector<Labelled>> voxels;
+    for (const Plant& plant : block.plants) {
+      if (!plant.owned) continue;
+      for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
+        const Part part = i < plant.stem.end ? Part::kStem : Part::kOther;
+        const Eigen::Vector3d p = block.cloud.mapPoint(i);
+        const BlockIndex tile = map_.tileAt(p.x(), p.y());
+        voxels[tile].push_back({keyOf(p, tile), {plant.id, part}});
+      }
+    }
+    return voxels;
+  }
+
   Eigen::Vector3f localOf(const Eigen::Vector3d& p, const BlockIndex& tile) const {
     return (p - map_.originOf(tile)).cast<float>();
   }
@@ -151,6 +185,7 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   preprocessing.max_range = std::numeric_limits<double>::infinity();
   const ComputeDevice preprocessing_device = device.withOwnCounts();
   const ComputeDevice segmentation_device = device.withOwnCounts();
+  const ComputeDevice measurement_device = device.withOwnCounts();
   const Tiling tiling = leastWork(cloud, preprocessing);
   preprocessing.block_size = tiling.edge;
   Preprocessor preprocessor(preprocessing, "map", tiling.corner);
@@ -189,15 +224,15 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
         std::make_shared<CompletedBlock>(completeBlock(segmented[b], parameters.completion));
     bookkeeper.add(2U, secondsSince(stage_start), completed->synthetic.size());
     stage_start = Clock::now();
-    measured[b] = measureBlock(*completed, parameters.measurement);
+    measured[b] = measureBlock(*completed, parameters.measurement, measurement_device);
     bookkeeper.add(3U, secondsSince(stage_start), segmented[b]->cloud.size());
     result.blocks[b] = std::move(completed);
   });
 
   VoxelLabels voxel_labels(preprocessing, tiling.corner);
   if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
+  voxel_labels.addAll(segmented);
   for (std::size_t b = 0; b < due.size(); ++b) {
-    voxel_labels.add(*segmented[b]);
     result.plants.insert(result.plants.end(), measured[b].begin(), measured[b].end());
     if (has_soil[b] == 0U) ++result.blocks_without_soil;
   }
@@ -212,10 +247,10 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
     }
   });
   result.times = bookkeeper.times();
-  for (StageTime& time : result.times)
-    time.use.why_cpu = "no step of this stage is written for a GPU";
   result.times[0].use = preprocessing_device.use();
   result.times[1].use = segmentation_device.use();
+  result.times[2].use.why_cpu = "no step of this stage is written for a GPU";
+  result.times[3].use = measurement_device.use();
   return result;
 }
 

@@ -21,6 +21,10 @@ struct GpuLanes : ThreadLanes {
     value += FIELD_PHENOTYPING_ON_GPU(__shfl_xor_sync(group_mask, value, 2), value);
     return value;
   }
+  FIELD_PHENOTYPING_HD float greatest(float value) const {
+    value = larger(value, FIELD_PHENOTYPING_ON_GPU(__shfl_xor_sync(group_mask, value, 1), value));
+    return larger(value, FIELD_PHENOTYPING_ON_GPU(__shfl_xor_sync(group_mask, value, 2), value));
+  }
   FIELD_PHENOTYPING_HD unsigned count(bool mask) const {
     return FIELD_PHENOTYPING_ON_GPU(
         static_cast<unsigned>(__popc(__ballot_sync(group_mask, mask) & group_mask)), mask);
@@ -29,6 +33,7 @@ struct GpuLanes : ThreadLanes {
 
 /// A thread block as a team (see team.hpp). Its number of threads must be a multiple of 32.
 struct GpuTeam {
+  static constexpr bool kAlone = false;
   FIELD_PHENOTYPING_HD static unsigned rank() { return FIELD_PHENOTYPING_ON_GPU(threadIdx.x, 0U); }
   FIELD_PHENOTYPING_HD static unsigned size() { return FIELD_PHENOTYPING_ON_GPU(blockDim.x, 1U); }
   FIELD_PHENOTYPING_HD static void sync() { FIELD_PHENOTYPING_ON_GPU(__syncthreads(), void()); }

@@ -1,262 +1,76 @@
 #include "field_phenotyping/measurement/cross_section_start.hpp"
 
 #include <Eigen/Cholesky>
-#include <Eigen/Geometry>
-#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/measurement/ellipse_fit.hpp"
-#include "field_phenotyping/measurement/rice_distribution.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-using Parameters = CrossSectionVector;
-using Information = CrossSectionMatrix;
-constexpr int kSize = kCrossSectionSize;
-
-constexpr int kSteps = 15;
-constexpr double kConverged = 1e-5;  // step, relative to the radius
-
-/// The ellipse at one height.
-struct Ellipse {
-  Eigen::Matrix2d shape;    // S
-  Eigen::Matrix2d inverse;  // of S
-};
-
-Ellipse ellipseAt(const Parameters& p, double height) {
-  const double radius = radiusAt(p, height);
-  const double c = p[kEllipse];
-  const double s = p[kEllipse + 1];
-  Ellipse ellipse;
-  ellipse.shape << radius + c, s, s, radius - c;
-  ellipse.inverse << radius - c, -s, -s, radius + c;
-  ellipse.inverse /= std::max(radius * radius - c * c - s * s, 1e-6 * radius * radius);
-  return ellipse;
+KnownOfStem knownBy(const CrossSectionPrior& prior) {
+  return {prior.noise,
+          prior.log_noise.value,
+          prior.log_noise.stddev,
+          prior.elongation.value,
+          prior.radius.value,
+          prior.radius.stddev,
+          prior.ellipticity_stddev,
+          prior.taper.value,
+          prior.taper.stddev,
+          prior.taper_change.value,
+          prior.taper_change.stddev};
 }
 
-/// A place on the ellipse, given by the unit vector u(t) of its parameter.
-struct Foot {
-  Eigen::Vector2d direction;  // u(t)
-  Eigen::Vector2d normal;     // outwards
-  double radius;              // distance of the tangent from the center
-  double flatness;            // that distance over the radius of curvature
-};
-
-Foot footAt(const Ellipse& ellipse, const Eigen::Vector2d& direction) {
-  Foot foot;
-  foot.direction = direction;
-  foot.normal = ellipse.inverse * direction;
-  foot.radius = 1.0 / foot.normal.norm();
-  foot.normal *= foot.radius;
-  const Eigen::Vector2d tangent(-foot.normal.y(), foot.normal.x());
-  foot.flatness = (foot.radius * ellipse.inverse * tangent).squaredNorm();
-  return foot;
+/// Offsets from the parabola in height that fits the points best.
+std::vector<Eigen::Vector2d> straightened(const std::vector<Eigen::Vector3d>& points) {
+  Eigen::Matrix3d normal = 1e-12 * Eigen::Matrix3d::Identity();
+  Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
+  for (const Eigen::Vector3d& point : points) {
+    const Eigen::Vector3d row(1.0, point.z(), point.z() * point.z());
+    normal += row * row.transpose();
+    right += row * point.head<2>().transpose();
+  }
+  const Eigen::Matrix<double, 3, 2> line = normal.ldlt().solve(right);
+  std::vector<Eigen::Vector2d> offsets;
+  offsets.reserve(points.size());
+  for (const Eigen::Vector3d& point : points) {
+    const Eigen::Vector3d row(1.0, point.z(), point.z() * point.z());
+    offsets.emplace_back(point.head<2>() - line.transpose() * row);
+  }
+  return offsets;
 }
 
-/// Place of the ellipse whose normal passes through `offset` (from the center).
-Foot footOf(const Ellipse& ellipse, const Eigen::Vector2d& offset) {
-  constexpr int kIterations = 3;
-  // offset = S u + l S^-1 u; starts from the ray through the center.
-  Eigen::Vector2d direction = ellipse.inverse * offset;
-  if (!(direction.norm() > 0.0)) direction = Eigen::Vector2d::UnitX();
-  Foot foot = footAt(ellipse, direction.normalized());
-  const double least = -0.8 / ellipse.inverse.squaredNorm();  // keeps clear of the evolute
-  for (int i = 0; i < kIterations; ++i) {
-    const double distance = foot.normal.dot(offset - ellipse.shape * foot.direction);
-    const double l = std::max(distance * foot.radius, least);
-    direction = (ellipse.shape + l * ellipse.inverse).inverse() * offset;
-    if (direction.norm() > 0.0) foot = footAt(ellipse, direction.normalized());
+StemExtent extentOf(const std::vector<Eigen::Vector3d>& points) {
+  constexpr double kTrim = 2.5;  // median distances
+  StemExtent extent;
+  for (const Eigen::Vector3d& point : points) {
+    extent.reach = std::max(extent.reach, point.head<2>().norm());
   }
-  return foot;
+  const std::vector<Eigen::Vector2d> offsets = straightened(points);
+  std::vector<double> distances;
+  for (const Eigen::Vector2d& offset : offsets) distances.push_back(offset.norm());
+  const double limit = kTrim * medianOf(distances);
+  Eigen::Matrix2d scatter = Eigen::Matrix2d::Zero();
+  double count = 0.0;
+  for (const Eigen::Vector2d& offset : offsets) {
+    if (offset.norm() > limit) continue;
+    scatter += offset * offset.transpose();
+    count += 1.0;
+  }
+  const double mean = 0.5 * scatter.trace() / count;
+  const double difference =
+      std::hypot(0.5 * (scatter(0, 0) - scatter(1, 1)), scatter(0, 1)) / count;
+  extent.width_variance = mean + difference;  // the larger eigenvalue
+  return extent;
 }
-
-// A point's log-likelihood depends on the parameters through three things: how far the surface is
-// shifted along its normal, how far it has grown along its normal, and the noise.
-using Local = Eigen::Vector3d;
-using LocalInformation = Eigen::Matrix3d;
-
-/// How far the surface moves along its normal.
-SurfaceMotion motionAt(const Foot& foot) {
-  return surfaceMotion(foot.direction, foot.normal);
-}
-
-/// Second derivative of the motion along the ellipse.
-SurfaceMotion secondDerivative(const Ellipse& ellipse, const Eigen::Vector2d& direction) {
-  constexpr double kStep = 0.1;  // [rad]
-  SurfaceMotion value[3];
-  double speed[3];  // length of ellipse per angle
-  for (int i = 0; i < 3; ++i) {
-    const Eigen::Vector2d u = Eigen::Rotation2Dd(kStep * (i - 1)) * direction;
-    const Foot foot = footAt(ellipse, u);
-    value[i] = motionAt(foot);
-    speed[i] = (ellipse.shape * Eigen::Vector2d(-u.y(), u.x())).norm();
-  }
-  return ((value[2] - value[1]) / (0.5 * (speed[2] + speed[1])) -
-          (value[1] - value[0]) / (0.5 * (speed[1] + speed[0]))) /
-         (kStep * kStep * speed[1]);
-}
-
-Eigen::Matrix<double, kSize, 3> jacobianOf(const SurfaceMotion& motion, double height) {
-  Eigen::Matrix<double, kSize, 3> jacobian = Eigen::Matrix<double, kSize, 3>::Zero();
-  jacobian.block<2, 1>(kCenter, 0) = motion.head<2>();
-  jacobian.block<2, 1>(kTilt, 0) = height * motion.head<2>();
-  jacobian.block<2, 1>(kCurvature, 0) = height * height * motion.head<2>();
-  jacobian.block<2, 1>(kTwist, 0) = height * height * height * motion.head<2>();
-  jacobian(kRadius, 1) = motion[2];
-  jacobian(kTaper, 1) = height * motion[2];
-  jacobian(kTaperChange, 1) = height * height * motion[2];
-  jacobian.block<2, 1>(kEllipse, 1) = motion.tail<2>();
-  jacobian(kNoise, 2) = 1.0;
-  return jacobian;
-}
-
-/// What the points say at one place of the parameters.
-struct Evaluation {
-  double value = 0.0;
-  Parameters score = Parameters::Zero();
-  Information observed = Information::Zero();  // may be indefinite far from the solution
-  Information expected = Information::Zero();  // never is
-  double outliers = 0.0;
-};
-
-/// Solves the estimating equations from one starting point.
-class CrossSectionSolver {
- public:
-  CrossSectionSolver(const std::vector<Eigen::Vector3d>& points, const CrossSectionPrior& prior,
-                     const StemExtent& extent, const Parameters& start)
-      : points_(&points), given_(prior), extent_(extent), parameters_(start) {
-    evaluate();
-  }
-
-  /// Up to kSteps steps, fewer once nothing moves.
-  void run() {
-    for (int i = 0; i < kSteps; ++i) {
-      Parameters step = newtonStep();
-      if (!step.allFinite()) return;
-      limitStep(parameters_, step);
-      parameters_ += step;
-      evaluate();
-      const double moved = step.segment<2>(kCenter).norm() + std::abs(step[kRadius]) +
-                           step.segment<2>(kEllipse).norm();
-      if (moved < kConverged * parameters_[kRadius] && std::abs(step[kNoise]) < 1e-4) return;
-    }
-  }
-
-  double value() const { return evaluation_.value; }
-  const Parameters& parameters() const { return parameters_; }
-  double outlierShare() const { return outlier_share_; }
-
- private:
-  double count() const { return static_cast<double>(points_->size()); }
-
-  void evaluate() {
-    prior_ = ParameterPrior(given_, extent_, parameters_);
-    evaluation_ = Evaluation();
-    for (const Eigen::Vector3d& point : *points_) addPoint(point, evaluation_);
-    constexpr double kPseudoOutliers = 0.5, kPseudoPoints = 5.0;  // keep the share off 0 and 1
-    outlier_share_ = (evaluation_.outliers + kPseudoOutliers) / (count() + kPseudoPoints);
-    addPriors();
-  }
-
-  void addPoint(const Eigen::Vector3d& point, Evaluation& evaluation) const {
-    const Ellipse ellipse = ellipseAt(parameters_, point.z());
-    const Eigen::Vector2d offset = point.head<2>() - centerAt(parameters_, point.z());
-    const Foot foot = footOf(ellipse, offset);
-    const double distance = std::max(foot.normal.dot(offset), 1e-3 * foot.radius);
-    const double noise = std::exp(parameters_[kNoise]);
-    const RiceTerms rice = riceTerms(distance, foot.radius, noise);
-
-    // Where the surface curves more or less than a circle would, the noise along it moves points
-    // outwards more or less.
-    const double excess = 0.5 * (foot.flatness - 1.0);
-    const double log_surface =
-        rice.value + excess * std::log(distance / foot.radius) + std::log1p(-outlier_share_);
-    const double log_outlier =
-        std::log(2.0 * distance * outlier_share_) - 2.0 * std::log(extent_.reach);
-    const double top = std::max(log_surface, log_outlier);
-    const double log_density =
-        top + std::log(std::exp(log_surface - top) + std::exp(log_outlier - top));
-    const double member = std::exp(log_surface - log_density);
-
-    Local score(-rice.by_distance - excess / distance, rice.by_radius - excess / foot.radius,
-                rice.by_log_noise);
-    LocalInformation second;
-    second << -rice.by_distance2 + excess / (distance * distance), rice.by_distance_radius,
-        rice.by_distance_noise,  //
-        rice.by_distance_radius, -rice.by_radius2 - excess / (foot.radius * foot.radius),
-        -rice.by_radius_noise,  //
-        rice.by_distance_noise, -rice.by_radius_noise, -rice.by_log_noise2;
-    second = (member * second - member * (1.0 - member) * score * score.transpose()).eval();
-    score *= member;
-    const double precision = member / (noise * noise);
-    LocalInformation expected;
-    expected << precision, precision, 0.0, precision, precision, 0.0, 0.0, 0.0, 2.0 * member;
-
-    const SurfaceMotion motion = motionAt(foot);
-    const auto jacobian = jacobianOf(motion, point.z());
-    evaluation.value += log_density;
-    evaluation.outliers += 1.0 - member;
-    evaluation.score.noalias() += jacobian * score;
-    addBend(ellipse, foot, point.z(), member, evaluation);
-    // Eigen would take its kernel for large matrices.
-    evaluation.observed += (jacobian * second).eval().lazyProduct(jacobian.transpose());
-    evaluation.expected += (jacobian * expected).eval().lazyProduct(jacobian.transpose());
-  }
-
-  /// Noise along the surface moves a point away from where its motion was taken. Without this term
-  /// the ends of a half-seen arc pull on the fit: E[score] = -s^2/2 k J'' for motion J and
-  /// curvature k, the damping being a stand-in for higher orders.
-  void addBend(const Ellipse& ellipse, const Foot& foot, double height, double member,
-               Evaluation& evaluation) const {
-    const double noise = std::exp(parameters_[kNoise]) / foot.radius;
-    const double weight = 0.5 * noise * noise / (1.0 + noise * noise) * member;
-    const SurfaceMotion bend =
-        weight * foot.flatness * foot.radius * secondDerivative(ellipse, foot.direction);
-    evaluation.score.segment<2>(kCenter) += bend.head<2>();
-    evaluation.score.segment<2>(kTilt) += height * bend.head<2>();
-    evaluation.score.segment<2>(kCurvature) += height * height * bend.head<2>();
-    evaluation.score.segment<2>(kTwist) += height * height * height * bend.head<2>();
-    evaluation.score[kRadius] += bend[2];
-    evaluation.score[kTaper] += height * bend[2];
-    evaluation.score[kTaperChange] += height * height * bend[2];
-    evaluation.score.segment<2>(kEllipse) += bend.tail<2>();
-  }
-
-  void addPriors() {
-    const Parameters deviation = parameters_ - prior_.mean;
-    evaluation_.value -= 0.5 * deviation.dot(prior_.weight.cwiseProduct(deviation));
-    evaluation_.score -= prior_.weight.cwiseProduct(deviation);
-    evaluation_.observed.diagonal() += prior_.weight;
-    evaluation_.expected.diagonal() += prior_.weight;
-
-    // Residual maximum likelihood: the shape was fitted to the same points as the noise.
-    const Information inverse = evaluation_.expected.llt().solve(Information::Identity());
-    const double fitted =
-        kNoise - prior_.weight.head<kNoise>().dot(inverse.diagonal().head<kNoise>());
-    evaluation_.score[kNoise] += fitted;
-  }
-
-  Parameters newtonStep() const {
-    const Eigen::LLT<Information> newton(evaluation_.observed);
-    if (newton.info() == Eigen::Success) return newton.solve(evaluation_.score);
-    return evaluation_.expected.llt().solve(evaluation_.score);
-  }
-
-  const std::vector<Eigen::Vector3d>* points_;
-  CrossSectionPrior given_;
-  StemExtent extent_;
-  ParameterPrior prior_;
-  Parameters parameters_;
-  Evaluation evaluation_;
-  double outlier_share_ = 0.1;
-};
 
 /// A circle round `center` through the middle of the points.
-Parameters circleStart(const std::vector<Eigen::Vector3d>& points, const Eigen::Vector2d& center,
-                       const CrossSectionPrior& prior) {
+CrossSectionVector circleStart(const std::vector<Eigen::Vector3d>& points,
+                               const Eigen::Vector2d& center, const CrossSectionPrior& prior) {
   std::vector<double> distances;
   distances.reserve(points.size());
   for (const Eigen::Vector3d& point : points) {
@@ -265,8 +79,9 @@ Parameters circleStart(const std::vector<Eigen::Vector3d>& points, const Eigen::
   const double radius = std::max(medianOf(distances), 1e-6);
   for (double& distance : distances) distance = std::abs(distance - radius);
   const double scatter = prior.noise > 0.0 ? prior.noise : 1.48 * medianOf(distances);
-  Parameters start = Parameters::Zero();
-  start.segment<2>(kCenter) = center;
+  CrossSectionVector start;
+  start[kCenter] = center.x();
+  start[kCenter + 1] = center.y();
   start[kRadius] = radius;
   start[kTaper] = prior.taper.value * radius;
   start[kTaperChange] = prior.taper_change.value * radius;
@@ -276,21 +91,40 @@ Parameters circleStart(const std::vector<Eigen::Vector3d>& points, const Eigen::
 
 }  // namespace
 
-CrossSectionStart startCrossSection(const std::vector<Eigen::Vector3d>& points,
-                                    const CrossSectionPrior& prior, const StemExtent& extent) {
-  CrossSectionSolver best(points, prior, extent,
-                          circleStart(points, Eigen::Vector2d::Zero(), prior));
-  best.run();
+CrossSectionTask crossSectionTask(const std::vector<Eigen::Vector3d>& points,
+                                  const CrossSectionPrior& prior, const CrossSectionStart* near) {
+  CrossSectionTask task;
+  task.known = knownBy(prior);
+  task.extent = extentOf(points);
+  if (near != nullptr) {
+    task.near = *near;
+    task.has_near = !start::isShapeless(near->parameters);
+    task.shapeless = !task.has_near;
+    if (task.has_near) return task;
+  }
+  task.of_axis = circleStart(points, Eigen::Vector2d::Zero(), prior);
   std::vector<Eigen::Vector2d> flat;
   flat.reserve(points.size());
   for (const Eigen::Vector3d& point : points) flat.push_back(point.head<2>());
-  const CircleFit guess = fitCircle(flat);
-  if (guess.valid && guess.radius < 2.0 * extent.reach) {
-    CrossSectionSolver other(points, prior, extent, circleStart(points, guess.center, prior));
-    other.run();
-    if (!(other.value() <= best.value())) best = other;
-  }
-  return {best.parameters(), best.outlierShare()};
+  const CircleFit circle = fitCircle(flat);
+  task.has_circle = circle.valid && circle.radius < 2.0 * task.extent.reach;
+  if (task.has_circle) task.of_circle = circleStart(points, circle.center, prior);
+  return task;
+}
+
+CrossSectionPoints placesOf(const std::vector<Eigen::Vector3d>& points) {
+  static_assert(sizeof(Eigen::Vector3d) == 3U * sizeof(double), "points are taken as they are");
+  return {points.empty() ? nullptr : points.front().data(), static_cast<int>(points.size())};
+}
+
+CrossSectionStart startCrossSection(const CrossSectionPoints& points,
+                                    const CrossSectionTask& task) {
+  start::Record record;
+  start::Sums sums;
+  double matrix[kCrossSectionSize * kCrossSectionSize];
+  double vector[kCrossSectionSize];
+  double solution[kCrossSectionSize];
+  return startCrossSection(SerialTeam(), points, task, {&record, &sums, matrix, vector, solution});
 }
 
 }  // namespace field_phenotyping

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
@@ -33,17 +34,19 @@ bool reachesBorder(const SegmentedBlock& block, const Plant& plant) {
 /// What the block's stems, those of its margin too, say of each other.
 struct BlockPrior {
   CrossSectionPrior prior;
-  std::vector<StemCrossSection> alone;  ///< of each plant, by its own points; or none
-  double median_outlier_share = 0.0;    ///< of those
+  std::vector<StemDiameter> alone;    ///< of each plant, by its own points; or none
+  double median_outlier_share = 0.0;  ///< of those
 };
 
-BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& parameters) {
+BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& parameters,
+                      const ComputeDevice& device) {
   const CrossSectionPrior weak = weakPrior(parameters);
   if (parameters.mode == "paper" || !parameters.block_shape_prior) return {weak, {}, 0.0};
-  std::vector<StemCrossSection> fits(block.plants.size());
-  parallelFor(fits.size(), [&](std::size_t i) {
-    fits[i] = measureStemDiameter(block, block.plants[i], parameters, weak).section;
-  });
+  std::vector<std::size_t> all(block.plants.size());
+  std::iota(all.begin(), all.end(), std::size_t{0});
+  std::vector<StemDiameter> alone = measureStemDiameters(block, all, parameters, weak, {}, device);
+  std::vector<StemCrossSection> fits;
+  for (const StemDiameter& stem : alone) fits.push_back(stem.section);
   const PopulationPrior kind =
       parameters.block_diameter_prior ? PopulationPrior::kShapeAndSize : PopulationPrior::kShape;
   const CrossSectionPrior prior = populationPrior(fits, weak, kind);
@@ -52,7 +55,7 @@ BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& 
     if (fit.valid) outliers.push_back(fit.outlier_share);
   }
   const double median_outliers = outliers.empty() ? 0.0 : medianOf(outliers);
-  return {prior, std::move(fits), median_outliers};
+  return {prior, std::move(alone), median_outliers};
 }
 
 /// Whether a stem is flatter than any other, its points scatter more than those of the block's
@@ -63,9 +66,9 @@ bool looksMerged(const BlockPrior& block, std::size_t index) {
   constexpr double kMostEllipticity = 0.2;  // (a - b) / (a + b): one axis is half as long again
   constexpr double kManyOutliers = 0.3;
   constexpr double kMoreOutliers = 3.0;  // times the median stem's
-  if (block.alone.empty() || !block.alone[index].valid) return false;
+  if (block.alone.empty() || !block.alone[index].section.valid) return false;
   if (std::isnan(block.prior.log_noise.value)) return false;  // nothing is known of the others
-  const StemCrossSection& own = block.alone[index];
+  const StemCrossSection& own = block.alone[index].section;
   const auto beyond = [](double value, double least, double own_stddev, double others_stddev) {
     return value > least && value > kStddevs * std::hypot(own_stddev, others_stddev);
   };
@@ -78,7 +81,7 @@ bool looksMerged(const BlockPrior& block, std::size_t index) {
 
 Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
                        const PlantSpacing& spacing, const BlockPrior& prior,
-                       const MeasurementParameters& parameters) {
+                       const StemDiameter& diameter, const MeasurementParameters& parameters) {
   const SegmentedBlock& block = *completed.segmented;
   const Plant& plant = block.plants[index];
   Phenotype phenotype;
@@ -90,7 +93,6 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
   const PlantHeight height = measurePlantHeight(block, plant, parameters);
   phenotype.height = height.height;
 
-  const StemDiameter diameter = measureStemDiameter(block, plant, parameters, prior.prior);
   phenotype.stem_diameter = diameter.major;
   phenotype.stem_diameter_minor = diameter.minor;
   phenotype.stem_diameter_equivalent = diameter.equivalent;
@@ -133,17 +135,25 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
 }  // namespace
 
 std::vector<Phenotype> measureBlock(const CompletedBlock& block,
-                                    const MeasurementParameters& parameters) {
+                                    const MeasurementParameters& parameters,
+                                    const ComputeDevice& device) {
   const std::vector<Plant>& plants = block.segmented->plants;
   std::vector<std::size_t> owned;
   for (std::size_t i = 0; i < plants.size(); ++i) {
     if (plants[i].owned) owned.push_back(i);
   }
   const std::vector<PlantSpacing> spacings = measureRowSpacing(*block.segmented);
-  const BlockPrior prior = blockPrior(*block.segmented, parameters);
+  const BlockPrior prior = blockPrior(*block.segmented, parameters, device);
+  std::vector<StemDiameter> alone;
+  if (!prior.alone.empty()) {
+    for (const std::size_t i : owned) alone.push_back(prior.alone[i]);
+  }
+  const std::vector<StemDiameter> diameters =
+      measureStemDiameters(*block.segmented, owned, parameters, prior.prior, alone, device);
   std::vector<Phenotype> phenotypes(owned.size());
   parallelFor(owned.size(), [&](std::size_t i) {
-    phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], prior, parameters);
+    phenotypes[i] =
+        measurePlant(block, owned[i], spacings[owned[i]], prior, diameters[i], parameters);
   });
   return phenotypes;
 }

@@ -2,19 +2,21 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <optional>
 
-#include "field_phenotyping/measurement/cross_section_model.hpp"
+#include "common/gpu_streams.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/measurement/cross_section_start.hpp"
 #include "field_phenotyping/measurement/surface_mixture.hpp"
+#include "measurement/cross_section_gpu.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-using Parameters = CrossSectionVector;
-using Information = CrossSectionMatrix;
+using Parameters = Eigen::Matrix<double, kCrossSectionSize, 1>;
+using Information = Eigen::Matrix<double, kCrossSectionSize, kCrossSectionSize, Eigen::RowMajor>;
 
-constexpr int kMaxSteps = 120;
-constexpr double kMaxBlur = 0.6;  // noise over radius beyond which a circle is fitted
 // Of less than so much of a stem the posterior is no normal distribution: it has several tops, and
 // a long tail. By how much its standard deviation is then too small was found by simulation over
 // noise 1-4 mm and arcs of 90-200 degrees.
@@ -105,54 +107,67 @@ void limitEllipticity(bool only_prior, double prior_variance, Information& covar
   covariance.diagonal().segment<2>(kEllipse).setConstant(prior_variance);
 }
 
-}  // namespace
-
-StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
-                                     const CrossSectionPrior& prior) {
-  StemCrossSection result;
-  if (points.size() < 5U) return result;
-  const StemExtent extent = extentOf(points);
-  if (!(extent.width_variance > 0.0)) return result;
-
-  // 1. Solve; noise nearly as large as the stem leaves no shape to be seen but its size.
-  CrossSectionPrior used = prior;
-  CrossSectionStart start = startCrossSection(points, used, extent);
-  const double blur = std::exp(start.parameters[kNoise]) / start.parameters[kRadius];
-  const bool shapeless = !(blur < kMaxBlur);
-  if (shapeless) {
-    used.ellipticity_stddev = 0.0;
-    start = startCrossSection(points, used, extent);
+/// The start that another fit is; it must be a sure one, for of half-seen stems, and where many
+/// points are none of the stem's, the posterior has several tops.
+bool startFrom(const StemCrossSection& near, const CrossSectionPrior& prior,
+               CrossSectionStart& start) {
+  constexpr double kMostOutliers = 0.3;  // share
+  if (!near.valid || !near.converged || near.arc_coverage < kFullArc ||
+      near.outlier_share > kMostOutliers) {
+    return false;
   }
-  SurfaceMixture solver(points, used, extent, start.parameters, start.outlier_share);
-  result.converged = solver.run(kMaxSteps);
+  const double radius = near.radius.value;
+  start = CrossSectionStart();
+  Eigen::Map<Parameters> p(start.parameters.values);
+  p.segment<2>(kCenter) = near.center;
+  p.segment<2>(kTilt) = near.tilt;
+  p.segment<2>(kCurvature) = near.curvature;
+  p.segment<2>(kTwist) = near.twist;
+  p[kRadius] = radius;
+  p[kTaper] = near.taper.value * radius;
+  p[kTaperChange] = near.taper_change.value * radius;
+  if (prior.ellipticity_stddev > 0.0) p.segment<2>(kEllipse) = near.ellipticity * radius;
+  p[kNoise] = near.log_noise.value;
+  if (prior.log_noise.stddev > 0.0) {
+    const double near_weight = 1.0 / std::pow(near.log_noise.stddev, 2);
+    const double prior_weight = 1.0 / std::pow(prior.log_noise.stddev, 2);
+    p[kNoise] = (near_weight * near.log_noise.value + prior_weight * prior.log_noise.value) /
+                (near_weight + prior_weight);
+  }
+  start.outlier_share = near.outlier_share;
+  return true;
+}
 
-  // 2. Covariance.
-  const Parameters& p = solver.parameters();
-  SurfaceMixture::Covariance found = solver.covariance();
-  if (!found.valid) return result;
-  Information& covariance = found.posterior;
+/// The cross-section that a fit comes to, with its covariance.
+StemCrossSection crossSectionOf(const SurfaceMixtureFit& fit, const CrossSectionPrior& prior,
+                                bool shapeless) {
+  StemCrossSection result;
+  result.converged = fit.converged;
+  if (!fit.has_covariance) return result;
+  const Eigen::Map<const Parameters> p(fit.parameters.values);
+  Information covariance = Eigen::Map<const Information>(fit.posterior);
   // With the noise estimated from few points the errors follow Student's distribution.
-  const double freedom = std::max(solver.freedom(), 3.0);
+  const double freedom = std::max(fit.freedom, 3.0);
   covariance *= freedom / (freedom - 2.0);
-  for (const Information& other : {found.patches, found.bound}) {
-    widen(other, kRadius, 1, covariance);
-    widen(other, kEllipse, 2, covariance);
+  for (const double* other : {fit.patches, fit.bound}) {
+    widen(Eigen::Map<const Information>(other), kRadius, 1, covariance);
+    widen(Eigen::Map<const Information>(other), kEllipse, 2, covariance);
   }
   const double ellipse_variance =
       std::pow(std::max(prior.ellipticity_stddev, 1e-4) * p[kRadius], 2);
   addElongation(prior.elongation.stddev, covariance);
-  result.arc_coverage = solver.arcCoverage();
+  result.arc_coverage = fit.arc_coverage;
   const double unseen = std::clamp((kFullArc - result.arc_coverage) / kPartArc, 0.0, 1.0);
   covariance.row(kRadius) *= 1.0 + kPartArcExcess * unseen;
   covariance.col(kRadius) *= 1.0 + kPartArcExcess * unseen;
-  limitRadius(solver.radiusPriorVariance(), covariance);
+  limitRadius(fit.radius_prior_variance, covariance);
   limitEllipticity(shapeless, ellipse_variance, covariance);
 
-  // 3. Traits.
   result.valid = true;
   result.center = p.segment<2>(kCenter);
   result.tilt = p.segment<2>(kTilt);
   result.curvature = p.segment<2>(kCurvature);
+  result.twist = p.segment<2>(kTwist);
   const auto relative = [&](int i) -> Trait {
     return {p[i] / p[kRadius], std::sqrt(covariance(i, i)) / p[kRadius]};
   };
@@ -163,11 +178,75 @@ StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
   result.ellipticity = p.segment<2>(kEllipse) / p[kRadius];
   result.ellipticity_stddev =
       std::sqrt(0.5 * covariance.diagonal().segment<2>(kEllipse).sum()) / p[kRadius];
-  result.outlier_share = solver.outlierShare();
-  result.points = solver.surfacePoints();
+  result.outlier_share = fit.outlier_share;
+  result.points = fit.surface_points;
   setDiameters(p, covariance, result);
-  setPriorShares(solver.radiusPriorVariance(), ellipse_variance, covariance, result);
+  setPriorShares(fit.radius_prior_variance, ellipse_variance, covariance, result);
   return result;
+}
+
+/// Where the fit of a piece begins; none where it has too few points.
+std::optional<CrossSectionTask> taskOf(const std::vector<Eigen::Vector3d>& points,
+                                       const CrossSectionPrior& prior,
+                                       const StemCrossSection& near) {
+  if (points.size() < 5U) return std::nullopt;
+  CrossSectionStart start;
+  const bool has_near = startFrom(near, prior, start);
+  const CrossSectionTask task = crossSectionTask(points, prior, has_near ? &start : nullptr);
+  if (!(task.extent.width_variance > 0.0)) return std::nullopt;
+  return task;
+}
+
+StemCrossSection fitOne(const std::vector<Eigen::Vector3d>& points, const CrossSectionTask& task,
+                        const CrossSectionPrior& prior) {
+  const CrossSectionPoints places = placesOf(points);
+  const CrossSectionStart start = startCrossSection(places, task);
+  return crossSectionOf(fitSurfaceMixture(places, task, start), prior, start.shapeless);
+}
+
+}  // namespace
+
+StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
+                                     const CrossSectionPrior& prior, const StemCrossSection& near) {
+  const std::optional<CrossSectionTask> task = taskOf(points, prior, near);
+  return task ? fitOne(points, *task, prior) : StemCrossSection();
+}
+
+std::vector<StemCrossSection> fitStemCrossSections(const std::vector<StemPiece>& pieces,
+                                                   const ComputeDevice& device) {
+  std::vector<std::optional<CrossSectionTask>> tasks(pieces.size());
+  parallelFor(pieces.size(), [&](std::size_t i) {
+    tasks[i] = taskOf(pieces[i].points, pieces[i].prior, pieces[i].near);
+  });
+  std::vector<StemCrossSection> sections(pieces.size());
+  std::vector<std::size_t> to_fit;
+  for (std::size_t i = 0; i < pieces.size(); ++i) {
+    if (tasks[i]) to_fit.push_back(i);
+  }
+  if constexpr (kWithCuda) {
+    const bool done = !to_fit.empty() && device.attempt([&](GpuStream& stream) {
+      std::vector<CrossSectionPiece> on_gpu;
+      std::vector<Eigen::Vector3d> points;
+      for (const std::size_t i : to_fit) {
+        on_gpu.push_back({*tasks[i], static_cast<std::uint32_t>(points.size()),
+                          static_cast<int>(pieces[i].points.size())});
+        points.insert(points.end(), pieces[i].points.begin(), pieces[i].points.end());
+      }
+      const GpuCrossSections found =
+          crossSectionsOnGpu(stream, placesOf(points).places, points.size(), on_gpu.data(),
+                             static_cast<std::uint32_t>(on_gpu.size()));
+      for (std::size_t k = 0; k < to_fit.size(); ++k) {
+        sections[to_fit[k]] =
+            crossSectionOf(found.fits[k], pieces[to_fit[k]].prior, found.starts[k].shapeless);
+      }
+    });
+    if (done) return sections;
+  }
+  parallelFor(to_fit.size(), [&](std::size_t k) {
+    const std::size_t i = to_fit[k];
+    sections[i] = fitOne(pieces[i].points, *tasks[i], pieces[i].prior);
+  });
+  return sections;
 }
 
 }  // namespace field_phenotyping

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <vector>
 
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/measurement/ellipse_fit.hpp"
 #include "field_phenotyping/measurement/stem_coverage.hpp"
 
@@ -164,20 +165,46 @@ Trait volumeBelow(const StemCrossSection& section, double height, double slope) 
   return {volume, std::hypot(std::hypot(by_radius, by_shape), kFootStddev * volume)};
 }
 
-void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z,
-               const Window& window, const CrossSectionPrior& prior, int min_points,
-               StemDiameter& result) {
-  StemFrame frame = frameAlong(plant.axis, window, wished_z);
-  std::vector<Eigen::Vector3d> points = pointsIn(block, plant, frame, window);
-  StemCrossSection section = fitStemCrossSection(points, prior);
-  if (section.valid && section.tilt.norm() > kMaxTilt) {
-    frame.origin += frame.axes.leftCols<2>() * section.center;
-    frame.axes = axesAlong(frame.axes * Eigen::Vector3d(section.tilt.x(), section.tilt.y(), 1.0));
-    points = pointsIn(block, plant, frame, window);
-    section = fitStemCrossSection(points, prior);
+/// A plant's stem on the way to its diameter.
+struct StemCut {
+  StemDiameter result;
+  Window window;
+  StemFrame frame;
+  bool to_fit = false;
+  StemPiece piece;  ///< of the stem, to be fitted
+};
+
+/// Cuts the stem along its axis, or as before.
+void cut(const SegmentedBlock& block, const Plant& plant, double wished_z,
+         const CrossSectionPrior& prior, const StemDiameter& before, StemCut& stem) {
+  stem.frame = frameAlong(plant.axis, stem.window, wished_z);
+  if (before.section.valid) {
+    stem.frame.origin = before.section_origin;
+    stem.frame.axes = before.section_axes;
   }
+  stem.piece = {pointsIn(block, plant, stem.frame, stem.window), prior, before.section};
+}
+
+/// Cuts a stem anew that leans away from where it was thought to go. @return whether it does
+bool cutAnew(const SegmentedBlock& block, const Plant& plant, StemCrossSection section,
+             StemCut& stem) {
+  if (!section.valid || section.tilt.norm() <= kMaxTilt) return false;
+  StemFrame& frame = stem.frame;
+  frame.origin += frame.axes.leftCols<2>() * section.center;
+  frame.axes = axesAlong(frame.axes * Eigen::Vector3d(section.tilt.x(), section.tilt.y(), 1.0));
+  section.center.setZero();
+  section.tilt.setZero();
+  stem.piece.points = pointsIn(block, plant, frame, stem.window);
+  stem.piece.near = section;
+  return true;
+}
+
+void takeFit(const StemCrossSection& section, int min_points, StemCut& stem) {
+  StemDiameter& result = stem.result;
+  const StemFrame& frame = stem.frame;
   if (!section.valid) {
-    result.flags |= points.size() < static_cast<std::size_t>(min_points) ? kTooFewPoints : kPoorFit;
+    result.flags |=
+        stem.piece.points.size() < static_cast<std::size_t>(min_points) ? kTooFewPoints : kPoorFit;
     return;
   }
   result.major = {section.major.value, withShape(section.major)};
@@ -189,6 +216,8 @@ void fitRobust(const SegmentedBlock& block, const Plant& plant, double wished_z,
   result.noise = section.noise;
   result.prior_share = section.prior_share;
   result.section = section;
+  result.section_origin = frame.origin;
+  result.section_axes = frame.axes;
   result.volume = volumeBelow(section, result.height, 1.0 / frame.axes(2, 2));
   result.arc_coverage = section.arc_coverage;
   result.points = static_cast<std::uint32_t>(std::lround(section.points));
@@ -226,23 +255,15 @@ void fitAsPrinted(const SegmentedBlock& block, const Plant& plant, double z,
   result.points = static_cast<std::uint32_t>(points.size());
 }
 
-}  // namespace
-
-CrossSectionPrior weakPrior(const MeasurementParameters& parameters) {
-  CrossSectionPrior prior;
-  prior.noise = parameters.noise;
-  prior.ellipticity_stddev = parameters.ellipticity_prior;
-  prior.elongation = kBeamNoise;
-  return prior;
-}
-
-StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant,
-                                 const MeasurementParameters& parameters,
-                                 const CrossSectionPrior& prior) {
-  StemDiameter result;
+/// Up to the fit, which is left to do where there is a piece to be fitted.
+StemCut cutStem(const SegmentedBlock& block, const Plant& plant,
+                const MeasurementParameters& parameters, const CrossSectionPrior& prior,
+                const StemDiameter& before) {
+  StemCut stem;
+  StemDiameter& result = stem.result;
   if (plant.axis.empty()) {
     result.flags |= kTooFewPoints;
-    return result;
+    return stem;
   }
   // 1. Height to measure at.
   const double share = parameters.diameter_height_share * plant.axis.length();
@@ -255,21 +276,89 @@ StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant
   if (countIn(block, plant, {wished_z - kNear, wished_z + kNear}) < least) {
     result.flags |= kHeightShifted;
   }
-  const Window window = populatedWindow(block, plant, wished_z, parameters);
-  if (countIn(block, plant, window) < least) {
+  stem.window = populatedWindow(block, plant, wished_z, parameters);
+  if (countIn(block, plant, stem.window) < least) {
     result.flags |= kTooFewPoints;
-    return result;
+    return stem;
   }
 
   // 3. Ellipse across the stem.
   if (parameters.mode == "paper") {
     fitAsPrinted(block, plant, wished_z, parameters, result);
   } else {
-    fitRobust(block, plant, wished_z, window, prior, parameters.min_points, result);
+    cut(block, plant, wished_z, prior, before, stem);
+    stem.to_fit = true;
   }
+  return stem;
+}
+
+StemDiameter judged(const StemDiameter& measured, const MeasurementParameters& parameters) {
+  StemDiameter result = measured;
   if (result.arc_coverage < parameters.min_arc) result.flags |= kArcBelow;
   if (result.major.stddev > kMaxRelativeStddev * result.major.value) result.flags |= kPoorFit;
   return result;
+}
+
+/// Step by step, so that a GPU has all fits at once.
+std::vector<StemDiameter> measureAll(const SegmentedBlock& block,
+                                     const std::vector<const Plant*>& plants,
+                                     const MeasurementParameters& parameters,
+                                     const CrossSectionPrior& prior,
+                                     const std::vector<StemDiameter>& before,
+                                     const ComputeDevice& device) {
+  std::vector<StemCut> stems(plants.size());
+  parallelFor(plants.size(), [&](std::size_t i) {
+    stems[i] =
+        cutStem(block, *plants[i], parameters, prior, before.empty() ? StemDiameter() : before[i]);
+  });
+  std::vector<StemCrossSection> sections(plants.size());
+  const auto fit = [&](const std::vector<std::size_t>& which) {
+    std::vector<StemPiece> pieces;
+    for (const std::size_t i : which) pieces.push_back(stems[i].piece);
+    const std::vector<StemCrossSection> found = fitStemCrossSections(pieces, device);
+    for (std::size_t k = 0; k < which.size(); ++k) sections[which[k]] = found[k];
+  };
+  std::vector<std::size_t> to_fit;
+  for (std::size_t i = 0; i < stems.size(); ++i) {
+    if (stems[i].to_fit) to_fit.push_back(i);
+  }
+  fit(to_fit);
+  std::vector<std::size_t> anew;
+  for (const std::size_t i : to_fit) {
+    if (cutAnew(block, *plants[i], sections[i], stems[i])) anew.push_back(i);
+  }
+  fit(anew);
+  for (const std::size_t i : to_fit) takeFit(sections[i], parameters.min_points, stems[i]);
+  std::vector<StemDiameter> results;
+  for (const StemCut& stem : stems) results.push_back(judged(stem.result, parameters));
+  return results;
+}
+
+}  // namespace
+
+CrossSectionPrior weakPrior(const MeasurementParameters& parameters) {
+  CrossSectionPrior prior;
+  prior.noise = parameters.noise;
+  prior.ellipticity_stddev = parameters.ellipticity_prior;
+  prior.elongation = kBeamNoise;
+  return prior;
+}
+
+StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant,
+                                 const MeasurementParameters& parameters,
+                                 const CrossSectionPrior& prior, const StemDiameter& before) {
+  return measureAll(block, {&plant}, parameters, prior, {before}, {}).front();
+}
+
+std::vector<StemDiameter> measureStemDiameters(const SegmentedBlock& block,
+                                               const std::vector<std::size_t>& plants,
+                                               const MeasurementParameters& parameters,
+                                               const CrossSectionPrior& prior,
+                                               const std::vector<StemDiameter>& before,
+                                               const ComputeDevice& device) {
+  std::vector<const Plant*> wanted;
+  for (const std::size_t i : plants) wanted.push_back(&block.plants[i]);
+  return measureAll(block, wanted, parameters, prior, before, device);
 }
 
 }  // namespace field_phenotyping

@@ -252,7 +252,7 @@ class Search {
   std::vector<LeafBase> find() {
     constexpr float kLeastEvidence = 4.0F;
     std::vector<LeafBase> candidates = guesses();
-    for (LeafBase& candidate : candidates) refine(candidate);
+    refine(candidates);
     candidates.erase(std::remove_if(candidates.begin(), candidates.end(),
                                     [this](const LeafBase& base) { return !isLeaf(base); }),
                      candidates.end());
@@ -391,34 +391,72 @@ class Search {
     return total(sum) * step;
   }
 
-  /// Climbs to the nearest place of most evidence.
-  void refine(LeafBase& base) const {
-    constexpr int kRounds = 6;
-    constexpr float kShrink = 0.65F;
-    constexpr float kPivot = 0.012F;  // [m] beyond the surface, about where most points are
-    float step = 1.5F * Votes::kStep;
-    float turn = kPi / static_cast<float>(Votes::kDirections);
-    float steeper = 0.3F;
-    for (int round = 0; round < kRounds; ++round) {
-      for (const float sign : {-1.0F, 1.0F}) {
-        const auto attempt = [&](float raised, float turned_by, float factor, float pivot) {
-          LeafBase changed = base;
-          changed.slope = std::clamp(base.slope * factor, kFlattest, kSteepest);
-          changed.arc_length += raised + pivot / base.slope - pivot / changed.slope;
-          changed.azimuth = turned(base.azimuth + turned_by);
-          changed.evidence = evidenceOf(changed);
-          if (changed.evidence > base.evidence) base = changed;
-        };
-        attempt(sign * step, 0.0F, 1.0F, 0.0F);
-        attempt(0.0F, sign * turn, 1.0F, 0.0F);
-        const float factor = sign > 0.0F ? 1.0F + steeper : 1.0F / (1.0F + steeper);
-        attempt(0.0F, 0.0F, factor, 0.0F);
-        attempt(0.0F, 0.0F, factor, kPivot);
-      }
-      step *= kShrink;
+  /// How far a round of the search moves a base.
+  struct Steps {
+    float along = 1.5F * Votes::kStep;                          // [m]
+    float turn = kPi / static_cast<float>(Votes::kDirections);  // [rad]
+    float steeper = 0.3F;                                       // of the slope
+
+    void shrink() {
+      constexpr float kShrink = 0.65F;
+      along *= kShrink;
       turn *= kShrink;
       steeper *= kShrink;
     }
+  };
+
+  /// Bases climb to the nearest places of most evidence. Those that soon find none are given up,
+  /// and those that then meet go on as one.
+  void refine(std::vector<LeafBase>& bases) const {
+    constexpr int kRounds = 6;
+    constexpr int kHopeful = 2;  // rounds
+    Steps steps;
+    for (int round = 0; round < kRounds; ++round) {
+      if (round == kHopeful) {
+        bases.erase(std::remove_if(bases.begin(), bases.end(),
+                                   [](const LeafBase& base) { return base.evidence < 0.0F; }),
+                    bases.end());
+      }
+      for (LeafBase& base : bases) climb(base, steps);
+      if (round >= kHopeful) keepBest(bases, steps);
+      steps.shrink();
+    }
+  }
+
+  void climb(LeafBase& base, const Steps& steps) const {
+    constexpr float kPivot = 0.012F;  // [m] beyond the surface, about where most points are
+    for (const float sign : {-1.0F, 1.0F}) {
+      const auto attempt = [&](float raised, float turned_by, float factor, float pivot) {
+        LeafBase changed = base;
+        changed.slope = std::clamp(base.slope * factor, kFlattest, kSteepest);
+        changed.arc_length += raised + pivot / base.slope - pivot / changed.slope;
+        changed.azimuth = turned(base.azimuth + turned_by);
+        changed.evidence = evidenceOf(changed);
+        if (changed.evidence > base.evidence) base = changed;
+      };
+      attempt(sign * steps.along, 0.0F, 1.0F, 0.0F);
+      attempt(0.0F, sign * steps.turn, 1.0F, 0.0F);
+      const float factor = sign > 0.0F ? 1.0F + steps.steeper : 1.0F / (1.0F + steps.steeper);
+      attempt(0.0F, 0.0F, factor, 0.0F);
+      attempt(0.0F, 0.0F, factor, kPivot);
+    }
+  }
+
+  /// Of bases less than a step apart the one with most evidence.
+  static void keepBest(std::vector<LeafBase>& bases, const Steps& steps) {
+    std::stable_sort(bases.begin(), bases.end(),
+                     [](const LeafBase& a, const LeafBase& b) { return a.evidence > b.evidence; });
+    std::vector<LeafBase> kept;
+    for (const LeafBase& base : bases) {
+      const bool met = std::any_of(kept.begin(), kept.end(), [&](const LeafBase& better) {
+        const float factor = 1.0F + steps.steeper;
+        return std::abs(base.arc_length - better.arc_length) < steps.along &&
+               std::abs(turned(base.azimuth - better.azimuth)) < steps.turn &&
+               base.slope < factor * better.slope && better.slope < factor * base.slope;
+      });
+      if (!met) kept.push_back(base);
+    }
+    bases = std::move(kept);
   }
 
   /// How much more of the stem is seen behind a leaf than usual, where it is too far off to be

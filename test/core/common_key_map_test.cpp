@@ -32,5 +32,20 @@ TEST(KeyMap, AsAMapOfNodes) {
   EXPECT_EQ(map.find(std::uint64_t{1} << 60U), nullptr);
 }
 
+TEST(KeyMap, HoldsWhatItHeldOnceThereIsRoomForMore) {
+  KeyMap<int> map;
+  map.reserve(0U);
+  for (int i = 0; i < 100; ++i) map.tryEmplace(static_cast<std::uint64_t>(7 * i), i);
+  map.reserve(5000U);
+  const int* first = map.tryEmplace(1U, -1).first;
+  for (int i = 0; i < 4000; ++i) map.tryEmplace(static_cast<std::uint64_t>(7 * i), i);
+  EXPECT_EQ(map.find(1U), first) << "nothing moved: there was room";
+  EXPECT_EQ(map.size(), 4001U);
+  for (int i = 0; i < 4000; ++i) {
+    ASSERT_NE(map.find(static_cast<std::uint64_t>(7 * i)), nullptr);
+    EXPECT_EQ(*map.find(static_cast<std::uint64_t>(7 * i)), i);
+  }
+}
+
 }  // namespace
 }  // namespace field_phenotyping

@@ -20,6 +20,12 @@ TEST(Lanes, Exponentials) {
   }
 }
 
+TEST(Lanes, AreAsThreadsTheSame) {
+  for (float value = -86.9F; value < 86.9F; value += 0.037F) {
+    EXPECT_EQ(exponentialOf(allOf(value))[2], exponentialOfLane(value)) << value;
+  }
+}
+
 TEST(Lanes, Arcsines) {
   for (float value = 0.0F; value <= 1.0F; value += 0.00037F) {
     const Floats arcsines = arcsineOf(Floats{value, 0.5F * value, 1.0F, 0.0F});

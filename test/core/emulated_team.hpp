@@ -50,6 +50,10 @@ struct EmulatedLanes : ThreadLanes {
     const std::array<float, kLanes> v = exchanged(value);
     return (v[0] + v[1]) + (v[2] + v[3]);
   }
+  float greatest(float value) const {
+    const std::array<float, kLanes> v = exchanged(value);
+    return larger(larger(v[0], v[1]), larger(v[2], v[3]));
+  }
   unsigned count(bool mask) const {
     const std::array<float, kLanes> v = exchanged(mask ? 1.0F : 0.0F);
     return static_cast<unsigned>(v[0] + v[1] + v[2] + v[3]);
@@ -69,6 +73,7 @@ struct EmulatedLanes : ThreadLanes {
 /// sees.
 class EmulatedTeam {
  public:
+  static constexpr bool kAlone = false;
   EmulatedTeam(unsigned rank, unsigned size, Barrier& barrier, LaneExchange& exchange)
       : rank_(rank), size_(size), barrier_(&barrier), exchange_(&exchange) {}
 

@@ -11,6 +11,7 @@
 #include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/measurement/stem_cross_section.hpp"
 #include "field_phenotyping/pipeline.hpp"
 #include "field_phenotyping/preprocessing/ground_estimation.hpp"
 #include "field_phenotyping/preprocessing/outlier_filter.hpp"
@@ -173,6 +174,62 @@ TEST_F(Gpu, SoilIsTheSame) {
   }
 }
 
+/// Points of a stem from a part of its circumference, some of a leaf.
+StemPiece stemPiece(std::size_t points, double noise, double arc, unsigned seed) {
+  std::mt19937 random(seed);
+  std::normal_distribution<double> normal;
+  std::uniform_real_distribution<double> uniform;
+  StemPiece piece;
+  for (std::size_t i = 0; i < points; ++i) {
+    const double angle = arc * uniform(random);
+    const double height = 0.3 * (uniform(random) - 0.5);
+    const double distance = (i % 15U == 0U ? 0.025 : 0.011) * (1.0 - 0.15 * height);
+    piece.points.emplace_back(1.08 * distance * std::cos(angle) + noise * normal(random),
+                              0.92 * distance * std::sin(angle) + noise * normal(random), height);
+  }
+  return piece;
+}
+
+bool sameBits(const StemCrossSection& a, const StemCrossSection& b) {
+  const auto same = [](const Trait& x, const Trait& y) {
+    return x.value == y.value && x.stddev == y.stddev;
+  };
+  return a.converged == b.converged && a.center == b.center && a.tilt == b.tilt &&
+         a.ellipticity == b.ellipticity && same(a.major, b.major) && same(a.minor, b.minor) &&
+         same(a.taper, b.taper) && same(a.log_noise, b.log_noise) && a.points == b.points &&
+         a.arc_coverage == b.arc_coverage && a.outlier_share == b.outlier_share;
+}
+
+TEST_F(Gpu, CrossSectionsAreTheSameBitForBit) {
+  std::vector<StemPiece> pieces;
+  for (unsigned seed = 0U; seed < 40U; ++seed) {
+    pieces.push_back(
+        stemPiece(6U + 37U * seed, 0.001 + 0.0001 * seed, seed % 3U ? 6.3 : 3.0, seed));
+  }
+  pieces.push_back(stemPiece(300U, 0.0002, 6.3, 50U));  // bins that shared memory is too small for
+  pieces.push_back(stemPiece(300U, 0.01, 6.3, 51U));    // no shape to be seen
+  pieces.back().prior.noise = 0.01;
+  pieces.push_back(stemPiece(4U, 0.002, 6.3, 52U));  // too few
+  std::size_t valid = 0U;
+  for (int round = 0; round < 2; ++round) {
+    const std::vector<StemCrossSection> on_cpu = fitStemCrossSections(pieces, {});
+    for (int run = 0; run < 2; ++run) {
+      const std::vector<StemCrossSection> on_gpu = fitStemCrossSections(pieces, device_);
+      ASSERT_EQ(on_gpu.size(), pieces.size());
+      for (std::size_t i = 0; i < pieces.size(); ++i) {
+        ASSERT_EQ(on_cpu[i].valid, on_gpu[i].valid) << i;
+        if (!on_cpu[i].valid) continue;
+        ++valid;
+        EXPECT_TRUE(sameBits(on_cpu[i], on_gpu[i]))
+            << i << ": " << on_cpu[i].major.value << " m on the CPU, " << on_gpu[i].major.value
+            << " m on the GPU";
+      }
+    }
+    for (std::size_t i = 0; i < pieces.size(); ++i) pieces[i].near = on_cpu[i];  // and from there
+  }
+  EXPECT_GT(valid, 3U * pieces.size()) << "of four times as many";
+}
+
 TEST_F(Gpu, TheWholePipelineIsTheSame) {
   testing::Scene scene(testing::slopingSoil(3.0, 20.0), 1U);
   scene.addSoil({0.0, 0.0}, {6.0, 2.0}, 2500.0);
@@ -204,6 +261,7 @@ TEST_F(Gpu, TheWholePipelineIsTheSame) {
     EXPECT_EQ(different, 0U);
     EXPECT_GT(on_gpu.times[0].use.gpu_steps, 0U);
     EXPECT_GT(on_gpu.times[1].use.gpu_steps, 0U);
+    EXPECT_GT(on_gpu.times[3].use.gpu_steps, 0U);
   }
   device_.attempt([](GpuStream&) {});  // the pipeline counts for itself
 }

@@ -422,6 +422,39 @@ TEST(CrossSection, CarriedToAnotherHeightWithTheTaper) {
   EXPECT_GE(covered, 34);
 }
 
+TEST(CrossSection, StartsFromAnotherFit) {
+  Scene scene;
+  CrossSectionPrior prior;
+  prior.ellipticity_stddev = 0.03;
+  prior.log_noise = {std::log(scene.noise), 0.05};
+  double square = 0.0;
+  constexpr std::uint32_t kTrials = 40;
+  for (std::uint32_t seed = 0; seed < kTrials; ++seed) {
+    const Sample sample = makeSample(scene, seed);
+    const StemCrossSection weak = fitStemCrossSection(sample.points, CrossSectionPrior());
+    const StemCrossSection cold = fitStemCrossSection(sample.points, prior);
+    const StemCrossSection warm = fitStemCrossSection(sample.points, prior, weak);
+    ASSERT_TRUE(warm.valid && warm.converged) << seed;
+    square += std::pow((warm.major.value - cold.major.value) / cold.major.stddev, 2) / kTrials;
+  }
+  EXPECT_LT(std::sqrt(square), 0.15);
+}
+
+TEST(CrossSection, DoesNotStartFromAFitOfAHalfSeenStem) {
+  Scene scene;
+  scene.arc = 120.0;
+  const CrossSectionPrior prior;
+  for (std::uint32_t seed = 0; seed < 5U; ++seed) {
+    const Sample sample = makeSample(scene, seed);
+    const StemCrossSection cold = fitStemCrossSection(sample.points, prior);
+    StemCrossSection near = cold;
+    near.radius.value *= 2.0;
+    near.center.x() += 0.01;
+    const StemCrossSection warm = fitStemCrossSection(sample.points, prior, near);
+    EXPECT_EQ(warm.major.value, cold.major.value) << seed;
+  }
+}
+
 TEST(CrossSection, DegenerateInputIsInvalidNotACrash) {
   const CrossSectionPrior prior;
   EXPECT_FALSE(fitStemCrossSection({}, prior).valid);

@@ -16,7 +16,6 @@ class KeyMap {
   /// The value of `key`, put there if there is none yet, and whether it was put there. The address
   /// holds until the next insertion.
   std::pair<Value*, bool> tryEmplace(std::uint64_t key, const Value& value) {
-    constexpr std::size_t kLeast = 64U;
     if (2U * (size_ + 1U) > slots_.size()) grow(slots_.empty() ? kLeast : 2U * slots_.size());
     Slot& slot = slots_[slotOf(key)];
     const bool is_new = slot.key == kFree;
@@ -36,7 +35,15 @@ class KeyMap {
 
   std::size_t size() const { return size_; }
 
+  /// Makes room for so many keys in all: until then insertions move nothing.
+  void reserve(std::size_t keys) {
+    std::size_t slots = kLeast;
+    while (2U * keys > slots) slots *= 2U;
+    if (slots > slots_.size()) grow(slots);
+  }
+
  private:
+  static constexpr std::size_t kLeast = 64U;  // slots
   static constexpr std::uint64_t kFree = ~std::uint64_t{0};
   struct Slot {
     std::uint64_t key = kFree;

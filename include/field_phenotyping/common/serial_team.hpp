@@ -14,12 +14,22 @@ struct VectorLanes {
   static Float load(const float* values, std::size_t i, std::size_t /*count*/) {
     return loadFloats(values + i);
   }
+  static void store(const Float& value, float* values, std::size_t i, std::size_t /*count*/) {
+    field_phenotyping::store(value, values + i);
+  }
   static Mask before(std::size_t i, std::size_t count) {
     return i + kLanes <= count ? allOf(-1) : lanesBefore(count - i);
   }
   static Mask atMost(const Float& a, const Float& b) { return a <= b; }
   static Mask both(const Mask& a, const Mask& b) { return a & b; }
   static Float where(const Mask& mask, const Float& value) { return mask ? value : Float{}; }
+  static Float larger(const Float& a, const Float& b) { return largerOf(a, b); }
+  static Float exponential(const Float& value) { return exponentialOf(value); }
+  static float greatest(const Float& value) {
+    const float low = value[0] > value[1] ? value[0] : value[1];
+    const float high = value[2] > value[3] ? value[2] : value[3];
+    return low > high ? low : high;
+  }
   static float total(const Float& value) { return field_phenotyping::total(value); }
   static unsigned count(const Mask& mask) {
     constexpr unsigned char kBits[1U << kLanes] = {0U, 1U, 1U, 2U, 1U, 2U, 2U, 3U,
@@ -32,6 +42,7 @@ struct VectorLanes {
 
 /// The team of one thread that the CPU works with (see team.hpp).
 struct SerialTeam {
+  static constexpr bool kAlone = true;
   static unsigned rank() { return 0U; }
   static unsigned size() { return 1U; }
   static void sync() {}

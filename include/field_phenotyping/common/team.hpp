@@ -1,14 +1,19 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <cstring>
 
 /// Marks what runs on the CPU and, where it is compiled by nvcc, on the GPU. Such code uses neither
 /// Eigen nor the standard library, and of arithmetic only + - * / and the square root, which give
 /// the same bits on both.
 #ifdef __CUDACC__
 #define FIELD_PHENOTYPING_HD __host__ __device__
+/// The same for what is long and called from many places: nvcc would copy it into all of them.
+#define FIELD_PHENOTYPING_HD_ONCE __host__ __device__ __noinline__
 #else
 #define FIELD_PHENOTYPING_HD
+#define FIELD_PHENOTYPING_HD_ONCE
 #endif
 
 namespace field_phenotyping {
@@ -19,6 +24,8 @@ constexpr std::size_t kLanes = 4U;
 // Work that is to run on the CPU and on the GPU is written once, for a team: a template over a type
 // with
 //
+//   static constexpr bool kAlone          whether it never has more than one member: loops may then
+//                                         be unrolled
 //   unsigned rank() const, size() const   of this member; members of the team
 //   void sync() const                     every member waits here for all others; what they wrote
 //                                         before it may be read after it
@@ -28,8 +35,8 @@ constexpr std::size_t kLanes = 4U;
 // A team is divided into groups of kLanes lanes, which work on kLanes consecutive values at once.
 // On the CPU a team has one member, whose lanes are those of a vector register (SerialTeam). On the
 // GPU it is a thread block, whose lanes are neighbouring threads (CudaTeam); tests have teams of
-// CPU threads (EmulatedTeam). All members of a group must come to every call of its lanes' total()
-// and count(), all members of the team to every sync(). Lanes have
+// CPU threads (EmulatedTeam). All members of a group must come to every call of its lanes' total(),
+// greatest() and count(), all members of the team to every sync(). Lanes have
 //
 //   Float, Mask                           a value and a truth, of the lanes that this member stands
 //                                         for
@@ -38,10 +45,13 @@ constexpr std::size_t kLanes = 4U;
 //                                         values[i] ... values[i + kLanes - 1]; anything in lanes
 //                                         at `count` or beyond, but kLanes values beyond it can be
 //                                         read
+//   void store(Float, float* values, std::size_t i, std::size_t count) const   the reverse
 //   Mask before(std::size_t i, std::size_t count) const   the lanes of values[i] ... below `count`
 //   Mask atMost(Float a, Float b) const, both(Mask a, Mask b) const
+//   Float larger(Float a, Float b) const, exponential(Float) const   as exponentialOf()
 //   Float where(Mask, Float) const        the value where it is true, else 0
 //   float total(Float) const              sum over the lanes, in one fixed order
+//   float greatest(Float) const           of all lanes
 //   unsigned count(Mask) const            lanes in which it is true
 //   bool any(Mask) const                  whether it is true in a lane that this member stands for
 //   bool first() const                    whether this member is its group's first
@@ -59,6 +69,25 @@ FIELD_PHENOTYPING_HD Value teamSum(const Team& team, Value value, Value* scratch
   return sum;
 }
 
+/// Exponential of a value in [-87, 87], exact to six digits: the bits of a lane of exponentialOf().
+FIELD_PHENOTYPING_HD inline float exponentialOfLane(float value) {
+  constexpr float kLog2e = 1.44269504F;
+  constexpr float kRound = 12582912.0F;  // 1.5 * 2^23: what is added to it becomes whole
+  const float power = value * kLog2e;
+  const float whole = (power + kRound) - kRound;
+  const float rest = (power - whole) * 0.693147181F;  // in [-0.35, 0.35]
+  const float series =
+      1.0F +
+      rest * (1.0F + rest * (0.5F + rest * (1.0F / 6.0F + rest * (1.0F / 24.0F +
+                                                                  rest * (1.0F / 120.0F +
+                                                                          rest * 1.0F / 720.0F)))));
+  constexpr std::int32_t kBias = 127;  // of a float's exponent, which begins at bit 23
+  const auto bits = static_cast<std::uint32_t>(static_cast<std::int32_t>(whole) + kBias) << 23U;
+  float scale;
+  std::memcpy(&scale, &bits, sizeof scale);
+  return series * scale;
+}
+
 /// What is the same in all lanes that are threads of their own.
 struct ThreadLanes {
   using Float = float;
@@ -70,9 +99,15 @@ struct ThreadLanes {
   FIELD_PHENOTYPING_HD float load(const float* values, std::size_t i, std::size_t count) const {
     return i + lane < count ? values[i + lane] : 0.0F;
   }
+  FIELD_PHENOTYPING_HD void store(float value, float* values, std::size_t i,
+                                  std::size_t count) const {
+    if (i + lane < count) values[i + lane] = value;
+  }
   FIELD_PHENOTYPING_HD bool before(std::size_t i, std::size_t count) const {
     return i + lane < count;
   }
+  FIELD_PHENOTYPING_HD static float larger(float a, float b) { return a > b ? a : b; }
+  FIELD_PHENOTYPING_HD static float exponential(float value) { return exponentialOfLane(value); }
   FIELD_PHENOTYPING_HD static bool atMost(float a, float b) { return a <= b; }
   FIELD_PHENOTYPING_HD static bool both(bool a, bool b) { return a && b; }
   FIELD_PHENOTYPING_HD static float where(bool mask, float value) { return mask ? value : 0.0F; }

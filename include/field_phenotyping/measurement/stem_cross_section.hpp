@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
 
 namespace field_phenotyping {
@@ -33,6 +34,7 @@ struct StemCrossSection {
   Eigen::Vector2d center = Eigen::Vector2d::Zero();     ///< at height 0 [m]
   Eigen::Vector2d tilt = Eigen::Vector2d::Zero();       ///< of the true axis from the reference
   Eigen::Vector2d curvature = Eigen::Vector2d::Zero();  ///< [1/m]
+  Eigen::Vector2d twist = Eigen::Vector2d::Zero();      ///< [1/m^2]
   Trait radius;                                         ///< (a + b) / 2 at height 0 [m]
   Trait taper;         ///< change of radius with height, relative to `radius` [1/m]
   Trait taper_change;  ///< the same, with the square of height [1/m^2]
@@ -71,9 +73,25 @@ struct StemCrossSection {
 ///
 /// @param points (x, y, height): x, y across the reference axis [m], which need not be centred or
 ///        well aligned; height along it [m], 0 where the cross-section is wanted
+/// @param near where to begin: a fit of nearly the same points or with another prior. Where it is
+///        not to be trusted, as of stems half of which is not seen, the fit looks for a start
+///        itself
 /// @return invalid for fewer than five points or where no finite solution is found
 /// Thread-safe, deterministic; the order of the points does not matter beyond rounding.
 StemCrossSection fitStemCrossSection(const std::vector<Eigen::Vector3d>& points,
-                                     const CrossSectionPrior& prior);
+                                     const CrossSectionPrior& prior,
+                                     const StemCrossSection& near = StemCrossSection());
+
+/// A piece of stem to be fitted: what fitStemCrossSection() is given.
+struct StemPiece {
+  std::vector<Eigen::Vector3d> points;
+  CrossSectionPrior prior;
+  StemCrossSection near;
+};
+
+/// fitStemCrossSection() of many pieces, on several cores, or all at once on a GPU: the results are
+/// the same. Thread-safe, deterministic.
+std::vector<StemCrossSection> fitStemCrossSections(const std::vector<StemPiece>& pieces,
+                                                   const ComputeDevice& device);
 
 }  // namespace field_phenotyping

@@ -1,8 +1,11 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
 #include "field_phenotyping/measurement/stem_cross_section.hpp"
 #include "field_phenotyping/parameters.hpp"
@@ -25,6 +28,8 @@ struct StemDiameter {
   double prior_share = std::numeric_limits<double>::quiet_NaN();  ///< in what is known of `major`
   std::uint32_t points = 0U;  ///< on the stem's surface, that decided the fit
   StemCrossSection section;   ///< the fit itself; not valid in mode "paper"
+  Eigen::Vector3d section_origin = Eigen::Vector3d::Zero();  ///< of its frame, in the block's cloud
+  Eigen::Matrix3d section_axes = Eigen::Matrix3d::Identity();  ///< columns: its x and y, along
   std::uint32_t flags = kOk;
 };
 
@@ -39,8 +44,22 @@ CrossSectionPrior weakPrior(const MeasurementParameters& parameters);
 /// points within half of `diameter_span` of the height, their z dropped. Thread-safe;
 /// deterministic.
 /// @param prior of the fit: weakPrior(), or what the block's stems say of each other
+/// @param before what the same stem gave with another prior: where the fit begins, if it can be
+///        trusted
 StemDiameter measureStemDiameter(const SegmentedBlock& block, const Plant& plant,
                                  const MeasurementParameters& parameters,
-                                 const CrossSectionPrior& prior);
+                                 const CrossSectionPrior& prior,
+                                 const StemDiameter& before = StemDiameter());
+
+/// measureStemDiameter() of many plants of a block, on several cores, or all at once on a GPU: the
+/// results are the same. Thread-safe; deterministic.
+/// @param plants their numbers
+/// @param before of each of them; or none
+std::vector<StemDiameter> measureStemDiameters(const SegmentedBlock& block,
+                                               const std::vector<std::size_t>& plants,
+                                               const MeasurementParameters& parameters,
+                                               const CrossSectionPrior& prior,
+                                               const std::vector<StemDiameter>& before,
+                                               const ComputeDevice& device);
 
 }  // namespace field_phenotyping

@@ -1,10 +1,6 @@
 #pragma once
 
-#include <Eigen/Cholesky>
-#include <Eigen/Core>
-#include <vector>
-
-#include "field_phenotyping/measurement/cross_section_model.hpp"
+#include "field_phenotyping/measurement/surface_mixture_team.hpp"
 
 namespace field_phenotyping {
 
@@ -21,75 +17,11 @@ namespace field_phenotyping {
 ///
 /// Newton's method on all parameters and shares at once, with the observed information of Louis
 /// (1982), else a step of expectation maximisation; each step raises the posterior. The noise is
-/// found by residual maximum likelihood. Bins are no finer than kFinest of the radius needs:
-/// thinner noise is found too large, up to half of that.
+/// found by residual maximum likelihood. Bins are no finer than noise of a fiftieth of the radius
+/// needs: thinner noise is found too large, by up to half.
 ///
-/// Not thread-safe; deterministic. Refers to the points, which must outlive it.
-class SurfaceMixture {
- public:
-  static constexpr double kFinest = 0.02;  ///< noise over radius
-
-  SurfaceMixture(const std::vector<Eigen::Vector3d>& points, const CrossSectionPrior& prior,
-                 const StemExtent& extent, const CrossSectionVector& start, double outlier_share);
-
-  /// Up to `steps` steps; true once nothing moves.
-  bool run(int steps);
-
-  double value() const { return evaluation_.value; }  ///< logarithm of the posterior
-  const CrossSectionVector& parameters() const { return parameters_; }
-  double radiusPriorVariance() const { return 1.0 / prior_.weight[kRadius]; }
-  double outlierShare() const { return outlier_share_; }
-  double surfacePoints() const;  ///< expected number of points that are no outliers
-  /// Points that the noise is known from, beyond those that the shape takes; its prior counts too.
-  double freedom() const;
-  /// Share of the circumference at which points are.
-  double arcCoverage() const;
-
-  /// Covariances of the parameters, the shares integrated out; not valid where nothing finite was
-  /// found.
-  struct Covariance {
-    bool valid = false;
-    CrossSectionMatrix posterior;  ///< inverse of the observed information
-    CrossSectionMatrix patches;    ///< by how much patches of the surface disagree ("sandwich"):
-                                   ///< errors that neighbours share show in it
-    CrossSectionMatrix bound;      ///< of Kanatani, Cramer and Rao, with the same priors: what is
-                                   ///< known at best where the angles of the points are not
-  };
-  Covariance covariance() const;
-
- private:
-  struct Evaluation {
-    double value = 0.0;
-    double members = 0.0;
-    Eigen::VectorXd score;
-    Eigen::MatrixXd observed;  ///< information; may be indefinite far from the maximum
-    Eigen::MatrixXd complete;  ///< information if every point's angle were known
-    Eigen::VectorXd occupancy;
-  };
-
-  Evaluation evaluate(const CrossSectionVector& parameters,
-                      const Eigen::VectorXd& log_shares) const;
-  /// What is taken as given in the next evaluation: priors, share of outliers, freedom.
-  void update();
-  /// The observed information, or as much of the complete one with it as makes it positive.
-  Eigen::LLT<Eigen::MatrixXd> information() const;
-  /// visit(point, candidate bins) for every point.
-  template <typename Visitor>
-  void visitPoints(const CrossSectionVector& parameters, const Eigen::VectorXd& log_shares,
-                   const Visitor& visit) const;
-
-  const std::vector<Eigen::Vector3d>* points_;
-  CrossSectionPrior given_;
-  StemExtent extent_;
-  ParameterPrior prior_;
-  CrossSectionVector parameters_;
-  Eigen::VectorXd log_shares_;   ///< of the bins, up to a constant
-  Eigen::Matrix2Xd directions_;  ///< u(t) of the bins
-  double smoothness_ = 0.0;      ///< inverse variance of the difference of neighbours
-  double outlier_share_;
-  double fitted_ = 0.0;  ///< parameters that the points, not the priors, decide
-  int steps_ = 0;
-  Evaluation evaluation_;
-};
+/// Thread-safe, deterministic.
+SurfaceMixtureFit fitSurfaceMixture(const CrossSectionPoints& points, const CrossSectionTask& task,
+                                    const CrossSectionStart& start);
 
 }  // namespace field_phenotyping

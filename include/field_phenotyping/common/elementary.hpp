@@ -1,0 +1,119 @@
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#include "field_phenotyping/common/team.hpp"
+
+// Functions that have the same bits on the CPU and on the GPU, whose libraries differ in the last
+// digit: nothing but + - * / and the square root.
+
+namespace field_phenotyping {
+
+/// Exponential of a value below 700, exact to 4e-16 of it; 0 below -700. NaN stays NaN.
+FIELD_PHENOTYPING_HD inline double exponential(double value) {
+  constexpr double kLog2e = 1.4426950408889634;
+  constexpr double kLogTwoHigh = 0.69314718055989033;  // the last 11 bits are 0
+  constexpr double kLogTwoLow = 5.4979230187083712e-14;
+  constexpr double kRound = 6755399441055744.0;  // 1.5 * 2^52: what is added to it becomes whole
+  constexpr double kLeast = -700.0;
+  const double bounded = value < kLeast ? kLeast : value;
+  const double shifted = bounded * kLog2e + kRound;
+  const double power = shifted - kRound;
+  const double rest = (bounded - power * kLogTwoHigh) - power * kLogTwoLow;  // in [-0.35, 0.35]
+  const double square = rest * rest;
+  // The series to the 13th power: its even and its odd terms.
+  const double even =
+      1.0 / 2.0 +
+      square * (1.0 / 24.0 +
+                square * (1.0 / 720.0 +
+                          square * (1.0 / 40320.0 +
+                                    square * (1.0 / 3628800.0 + square * (1.0 / 479001600.0)))));
+  const double odd =
+      1.0 / 6.0 +
+      square * (1.0 / 120.0 +
+                square * (1.0 / 5040.0 +
+                          square * (1.0 / 362880.0 +
+                                    square * (1.0 / 39916800.0 + square * (1.0 / 6227020800.0)))));
+  const double series = 1.0 + (rest + square * (even + rest * odd));
+  std::uint64_t bits;
+  std::memcpy(&bits, &shifted, sizeof bits);
+  constexpr std::uint64_t kBias = 1023U;  // of a double's exponent, which begins at bit 52
+  bits = (bits + kBias) << 52U;
+  double scale;
+  std::memcpy(&scale, &bits, sizeof scale);
+  return value < kLeast ? 0.0 : series * scale;
+}
+
+/// Logarithm of a value above 1e-300, exact to 4e-16 of it or of 1. NaN and infinity stay.
+FIELD_PHENOTYPING_HD inline double logarithm(double value) {
+  constexpr double kMost = 1.7e308;
+  if (!(value < kMost)) return value;
+  std::uint64_t bits;
+  std::memcpy(&bits, &value, sizeof bits);
+  constexpr std::uint64_t kBias = 1023U;  // of a double's exponent, which begins at bit 52
+  constexpr std::uint64_t kMantissa = 0x000FFFFFFFFFFFFFU;
+  auto power = static_cast<double>(static_cast<std::int64_t>(bits >> 52U) -
+                                   static_cast<std::int64_t>(kBias));
+  bits = (bits & kMantissa) | (kBias << 52U);
+  double mantissa;  // in [1, 2)
+  std::memcpy(&mantissa, &bits, sizeof mantissa);
+  constexpr double kRootTwo = 1.4142135623730951;
+  if (mantissa > kRootTwo) {
+    mantissa *= 0.5;
+    power += 1.0;
+  }
+  // log m = 2 artanh((m - 1) / (m + 1)).
+  const double excess = mantissa - 1.0;
+  const double ratio = excess / (2.0 + excess);
+  const double square = ratio * ratio;
+  const double fourth = square * square;
+  const double even =
+      2.0 / 3.0 +
+      fourth * (2.0 / 7.0 + fourth * (2.0 / 11.0 + fourth * (2.0 / 15.0 + fourth * (2.0 / 19.0))));
+  const double odd =
+      2.0 / 5.0 +
+      fourth * (2.0 / 9.0 + fourth * (2.0 / 13.0 + fourth * (2.0 / 17.0 + fourth * (2.0 / 21.0))));
+  const double series = 2.0 * ratio + ratio * square * (even + square * odd);
+  constexpr double kLogTwoHigh = 0.69314718055989033;
+  constexpr double kLogTwoLow = 5.4979230187083712e-14;
+  return power * kLogTwoHigh + (series + power * kLogTwoLow);
+}
+
+/// A unit vector in the plane.
+struct Direction {
+  double x;
+  double y;
+};
+
+/// The `k`-th of `count` directions that part the circle evenly, from x towards y; k < count.
+FIELD_PHENOTYPING_HD inline Direction directionOf(int k, int count) {
+  // From the nearest quarter of a turn.
+  const int quarter = (4 * k + count / 2) / count;
+  constexpr double kHalfPi = 1.5707963267948966;
+  const double angle = kHalfPi * (4 * k - quarter * count) / count;  // at most an eighth of a turn
+  const double square = angle * angle;
+  double sine = 0.0;  // series, from their ends
+  double cosine = 0.0;
+  constexpr int kTerms = 10;
+  for (int term = kTerms; term > 0; --term) {
+    const double n = 2.0 * term;
+    sine = (1.0 + sine) * (-square / (n * (n + 1.0)));
+    cosine = (1.0 + cosine) * (-square / (n * (n - 1.0)));
+  }
+  sine = angle + angle * sine;
+  cosine = 1.0 + cosine;
+  switch (quarter % 4) {
+    case 0:
+      return {cosine, sine};
+    case 1:
+      return {-sine, cosine};
+    case 2:
+      return {-cosine, -sine};
+    default:
+      return {sine, -cosine};
+  }
+}
+
+}  // namespace field_phenotyping
