@@ -111,6 +111,24 @@ TEST(PlantRegistry, AClaimIsReleasedWhenThePlantIsNoLongerFound) {
   EXPECT_EQ(identify(registry, blockWith({0, 0}, {{1.98, 1.0}}))[0], -1);
 }
 
+TEST(PlantRegistry, AClaimLapsesLongAfterItsBlockWasSeen) {
+  constexpr std::uint64_t kThen = 5'000'000'000U;
+  PlantRegistry registry;
+  SegmentedBlock left = blockWith({0, 0}, {{1.98, 1.0}});
+  left.header.stamp_ns = kThen;
+  registry.identify(left);
+  ASSERT_GE(left.plants[0].id, 0);
+  SegmentedBlock soon = blockWith({1, 0}, {{2.01, 1.0}});
+  soon.header.stamp_ns = kThen + PlantRegistry::kClaimHolds;
+  registry.identify(soon);
+  EXPECT_FALSE(soon.plants[0].owned);
+  SegmentedBlock late = blockWith({1, 0}, {{2.01, 1.0}});
+  late.header.stamp_ns = kThen + PlantRegistry::kClaimHolds + 1U;
+  registry.identify(late);
+  EXPECT_TRUE(late.plants[0].owned);
+  EXPECT_EQ(late.plants[0].id, left.plants[0].id);
+}
+
 TEST(PlantRegistry, PlantsOfNeighboursAreLeftAlone) {
   PlantRegistry registry;
   SegmentedBlock block = blockWith({0, 0}, {{0.5, 0.5}, {2.4, 0.5}});
