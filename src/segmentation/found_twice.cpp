@@ -9,8 +9,11 @@
 namespace field_phenotyping {
 namespace {
 
+/// Whether two are seen beside one another so well that both must be stems.
 bool seenSideBySide(const Midline& a, const Midline& b, float apart) {
-  constexpr float kLeast = 0.10F;  // [m] of height that both are seen over
+  constexpr float kLeast = 0.10F;     // [m] of height that both are seen over
+  constexpr float kEvidence = 40.0F;  // of each: leaves that stand upright by chance gain up to 25
+  if (std::min(a.evidence, b.evidence) < kEvidence) return false;
   const float low = std::max(a.axis.pointAt(a.hidden).z(), b.axis.pointAt(b.hidden).z());
   const float high =
       std::min(a.axis.nodes().back().position.z(), b.axis.nodes().back().position.z());

@@ -14,6 +14,7 @@ constexpr float kLeastDistance = 0.06F;  // [m]
 GrownStem stemAt(float x, float y, float top, float hidden, std::size_t points,
                  float shift = 0.0F) {
   GrownStem stem;
+  stem.midline.evidence = static_cast<float>(points);
   stem.midline.axis = StemAxis({{{x, y, 0.0F}, 0.01F}, {{x + shift, y, top}, 0.01F}});
   stem.midline.hidden = hidden;
   stem.points.resize(points);
@@ -49,9 +50,15 @@ TEST(FoundTwice, OneStemSeenTwiceOverTheSameHeight) {
 
 TEST(FoundTwice, NeighboursWhoseGuessedFeetMeetStayTwo) {
   // Stems 8 cm apart where they are seen: one foot or both were guessed.
-  EXPECT_EQ(sizesOf({stemAt(0.0F, 0.0F, 1.2F, 0.4F, 20U, -0.04F),
-                     stemAt(0.005F, 0.0F, 1.2F, 0.4F, 30U, 0.06F)}),
-            (std::vector<std::size_t>{20U, 30U}));
+  EXPECT_EQ(sizesOf({stemAt(0.0F, 0.0F, 1.2F, 0.4F, 50U, -0.04F),
+                     stemAt(0.005F, 0.0F, 1.2F, 0.4F, 60U, 0.06F)}),
+            (std::vector<std::size_t>{50U, 60U}));
+}
+
+TEST(FoundTwice, AFewUprightPointsOfALeafAreNoNeighbour) {
+  EXPECT_EQ(
+      sizesOf({stemAt(0.0F, 0.0F, 1.0F, 0.0F, 60U), stemAt(0.007F, 0.0F, 1.0F, 0.3F, 20U, 0.12F)}),
+      (std::vector<std::size_t>{60U}));
 }
 
 TEST(FoundTwice, ARowSownAtTenCentimetres) {

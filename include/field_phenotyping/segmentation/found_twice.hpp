@@ -11,8 +11,8 @@ namespace field_phenotyping {
 ///
 /// A piece high up a stem makes a candidate of its own where leaves hide what is below it. Its foot
 /// is guessed, and what is known of the stand puts that where the plant's own foot is. So of stems
-/// that rise from one place only the one that most points show stays, unless they are seen beside
-/// one another at the same height: then they are two, and a guessed foot is wrong.
+/// that rise from one place only the one that most points show stays, unless both are seen well
+/// beside one another at the same height: then they are two, and a guessed foot is wrong.
 ///
 /// @param least_distance [m] of two plants at the soil, `min_plant_spacing`
 /// Keeps the order. Thread-safe; deterministic.
