@@ -83,6 +83,32 @@ void PlantRegistry::releaseClaims(const BlockHeader& header) {
   }
 }
 
+/// Those of the block that has claimed a plant; null where none has.
+const PlantRegistry::Claims* PlantRegistry::claimsOn(std::int32_t id) const {
+  const auto owner = claimed_.find(id);
+  return owner == claimed_.end() ? nullptr : &claims_.at(owner->second);
+}
+
+/// Whether another block reports the plant under another id: where it is one that this block does
+/// not see beside it, nor the other block this one. Else of such ids none is left but this one.
+bool PlantRegistry::isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
+                                     const std::vector<Known>& near, std::vector<bool>& given) {
+  for (std::size_t e = 0; e < near.size(); ++e) {
+    const Known& other = near[e];
+    if (given[e] || !((base - other.base).norm() < match_radius_)) continue;
+    const Claims* claims = claimsOn(other.id);
+    if (claims == nullptr || claims->seen.count(id) > 0U) continue;
+    // The older id stays, unless the other block has spoken for the last time.
+    if (other.id < id || claims->final) return true;
+    std::vector<std::int32_t>& ids = claims_.at(claimed_.at(other.id)).ids;
+    ids.erase(std::find(ids.begin(), ids.end(), other.id));
+    claimed_.erase(other.id);
+    takeOut(other);
+    given[e] = true;
+  }
+  return false;
+}
+
 /// Every plant within `reach` of the rectangle that holds the bases.
 std::vector<PlantRegistry::Known> PlantRegistry::findNear(const std::vector<Eigen::Vector2d>& bases,
                                                           double reach) const {
@@ -214,6 +240,7 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   // 3. Filed anew under their newest bases.
   Claims claims;
   claims.stamp_ns = header.stamp_ns;
+  claims.final = header.final;
   for (std::size_t p = 0; p < bases.size(); ++p) {
     std::int32_t id = next_id_;
     if (entry_of[p] == kNone) {
@@ -223,16 +250,22 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
       const Known& known = near[entry_of[p]];
       id = known.id;
       ++outcome.known;
+      claims.seen.insert(id);
       if (claimed_.count(id) > 0U) {
         plants[p]->owned = false;
         continue;
       }
       takeOut(known);
+      if (isSameAsAnothers(id, bases[p], near, given)) {
+        plants[p]->owned = false;
+        continue;
+      }
     }
     plants[p]->id = id;
     file(id, bases[p], header.stamp_ns);
     claims.ids.push_back(id);
-    claimed_.insert(id);
+    claims.seen.insert(id);
+    claimed_.emplace(id, header.index);
   }
   claims_[header.index] = std::move(claims);
 

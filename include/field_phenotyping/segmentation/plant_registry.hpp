@@ -31,7 +31,9 @@ struct KnownPlant {
 /// It also settles which block reports a plant. Two blocks that share a border both see the plants
 /// on it, and may place a base on either side; the first block to claim such a plant keeps it until
 /// it no longer finds it, so no plant is reported twice or lost. A claim holds among blocks that
-/// are seen at about the same time, kClaimHolds.
+/// are seen at about the same time, kClaimHolds. Where two blocks have given one plant two ids, as
+/// they had placed it too far apart at first, one of them is given up once the places have come
+/// together.
 ///
 /// Of each plant ever named it holds an id, a place and a time: about 40 bytes. Thread-safe.
 class PlantRegistry {
@@ -79,7 +81,9 @@ class PlantRegistry {
   };
   struct Claims {
     std::uint64_t stamp_ns = 0U;
+    bool final = false;
     std::vector<std::int32_t> ids;
+    std::set<std::int32_t> seen;  // those and the ones that other blocks have claimed
   };
 
   struct FoundShift {
@@ -103,13 +107,16 @@ class PlantRegistry {
   void file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns);
   void takeOut(const Known& known);
   void releaseClaims(const BlockHeader& header);
+  const Claims* claimsOn(std::int32_t id) const;
+  bool isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
+                        const std::vector<Known>& near, std::vector<bool>& given);
 
   const double match_radius_;
   mutable std::mutex mutex_;
   std::map<Cell, std::vector<Entry>> entries_;
   std::size_t size_ = 0U;  // of all of them
   std::map<BlockIndex, Claims> claims_;
-  std::set<std::int32_t> claimed_;  // the ids of all of those
+  std::map<std::int32_t, BlockIndex> claimed_;  // the ids of all of those, and by whom
   LastShift last_shift_;
   std::int32_t next_id_ = 0;
 };
