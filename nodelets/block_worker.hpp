@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <limits>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -90,8 +91,9 @@ struct OverloadLimits {
 /// Blocks of which nothing has been worked in their pass go first, then those of which less than
 /// half has, for they give plants their first values, then final ones, then updates, each in the
 /// order in which they came. Once one has waited for too long each the newest first; where too many
-/// points wait the last in that order are dropped. That ends by itself when less comes.
-/// Thread-safe.
+/// points wait the last in that order are dropped. That ends by itself when less comes. What was
+/// last seen before another block was first seen goes before that one: what an earlier pass has
+/// found must be known by then. Thread-safe.
 template <class T>
 class BlockWorker {
  public:
@@ -229,7 +231,13 @@ class BlockWorker {
 
   Task takeNext() {
     const bool overloaded = isOverloaded();
+    std::uint64_t earliest = std::numeric_limits<std::uint64_t>::max();
+    for (const Task& task : waiting_) earliest = std::min(earliest, headerOf(*task.block).stamp_ns);
+    const auto must_wait = [&](const Task& task) {
+      return headerOf(*task.block).began_ns > earliest;
+    };
     const auto goes_first = [&](const Task& a, const Task& b) {
+      if (must_wait(a) != must_wait(b)) return must_wait(b);
       return overloaded ? isWorthMore(a, b) : rankOf(a) < rankOf(b);
     };
     const auto next = std::min_element(waiting_.begin(), waiting_.end(), goes_first);

@@ -38,10 +38,10 @@ class SlowWorker {
   }
 
   BlockWorker<Block>::Arrival push(int x, std::uint64_t second, bool final,
-                                   std::size_t points = 10U) {
+                                   std::size_t points = 10U, std::uint64_t began = 0U) {
     const auto block = boost::make_shared<Block>();
     block->header.index = {x, 0};
-    block->header.began_ns = kBegan;
+    block->header.began_ns = kBegan + began * kSecond;
     block->header.stamp_ns = kBegan + second * kSecond;
     block->header.final = final;
     block->cloud.points.resize(points, Eigen::Vector3f::Zero());
@@ -120,6 +120,18 @@ TEST(BlockWorker, BlocksOfWhichLittleIsKnownGoFirst) {
   other.push(100, 2U, true, 15U);
   other.push(101, 3U, false, 30U);
   EXPECT_EQ(other.finishAll(), (std::vector<int>{101, 101, 100})) << "most of it is new";
+}
+
+TEST(BlockWorker, AnEarlierPassIsFinishedFirst) {
+  for (const OverloadLimits& limits : {kNever, kAtOnce}) {
+    SlowWorker worker(limits);
+    worker.push(1, 30U, false, 10U, 20U);  // of the next pass
+    worker.push(100, 19U, true, 12U);
+    worker.push(0, 25U, false, 10U, 20U);
+    std::vector<int> order = worker.finishAll();
+    ASSERT_EQ(order.size(), 3U);
+    EXPECT_EQ(order.front(), 100);
+  }
 }
 
 TEST(BlockWorker, UnderOverloadWhatIsNewGoesFirst) {
