@@ -81,6 +81,10 @@ void PlantRegistry::releaseClaims(const BlockHeader& header) {
     for (const std::int32_t id : claims->second.ids) claimed_.erase(id);
     claims = claims_.erase(claims);
   }
+  for (auto doubt = in_doubt_.begin(); doubt != in_doubt_.end();) {
+    const bool old = header.stamp_ns > doubt->second + kClaimHolds;
+    doubt = old ? in_doubt_.erase(doubt) : std::next(doubt);
+  }
 }
 
 /// Those of the block that has claimed a plant; null where none has.
@@ -237,6 +241,42 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     given[e] = true;
   }
 
+  // Those that were named anew before it was known how the map has moved have their older ids back.
+  const bool sure = shift && shift->sure;
+  for (std::size_t p = 0; sure && p < bases.size(); ++p) {
+    if (entry_of[p] == kNone) continue;
+    const Known& named = near[entry_of[p]];
+    if (in_doubt_.count(named.id) == 0U || claimed_.count(named.id) > 0U) continue;
+    double nearest = match_radius_;
+    std::size_t older = kNone;
+    for (std::size_t e = 0; e < near.size(); ++e) {
+      if (given[e] || !seenEarlier(near[e])) continue;
+      const double distance = (bases[p] - near[e].base - outcome.shift).norm();
+      if (!(distance < nearest)) continue;
+      nearest = distance;
+      older = e;
+    }
+    if (older == kNone) continue;
+    given[entry_of[p]] = false;  // and goes, below
+    entry_of[p] = older;
+    given[older] = true;
+  }
+  for (std::size_t e = 0; sure && e < near.size(); ++e) {
+    if (given[e] || in_doubt_.count(near[e].id) == 0U || claimed_.count(near[e].id) > 0U) continue;
+    const bool of_another = std::any_of(bases.begin(), bases.end(), [&](const auto& base) {
+      return (base - near[e].base).norm() < match_radius_;
+    });
+    if (!of_another) continue;
+    takeOut(near[e]);
+    in_doubt_.erase(near[e].id);
+    given[e] = true;
+  }
+  const auto mayBeAnEarlierOne = [&](const Eigen::Vector2d& base) {
+    return std::any_of(near.begin(), near.end(), [&](const Known& known) {
+      return seenEarlier(known) && (base - known.base).norm() < kMostShift + match_radius_;
+    });
+  };
+
   // 3. Filed anew under their newest bases.
   Claims claims;
   claims.stamp_ns = header.stamp_ns;
@@ -246,6 +286,7 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     if (entry_of[p] == kNone) {
       ++next_id_;
       ++outcome.added;
+      if (!sure && mayBeAnEarlierOne(bases[p])) in_doubt_[id] = header.stamp_ns;
     } else {
       const Known& known = near[entry_of[p]];
       id = known.id;
@@ -270,7 +311,7 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   claims_[header.index] = std::move(claims);
 
   // 4. In the end, plants that are hidden in this pass have moved with the rest.
-  if (!shift || !shift->sure || !header.final) return outcome;
+  if (!sure || !header.final) return outcome;
   for (std::size_t e = 0; e < near.size(); ++e) {
     if (given[e] || !seenEarlier(near[e])) continue;
     takeOut(near[e]);

@@ -169,6 +169,35 @@ TEST(PlantRegistry, NeighboursTenCentimetresApartOnABorderStayTwo) {
   }
 }
 
+TEST(PlantRegistry, PlantsNamedBeforeTheShiftIsKnownGetTheirOlderIds) {
+  // The map has moved by 10 cm, and the first revision of the second pass sees but three plants.
+  constexpr std::uint64_t kSecond = 1'000'000'000U;
+  std::mt19937 random(3U);
+  std::normal_distribution<double> sown(0.0, 0.015);
+  std::vector<Eigen::Vector2d> bases, moved;
+  for (int k = 0; k < 9; ++k) {
+    bases.emplace_back(0.1 + 0.2 * k + sown(random), 1.0 + sown(random));
+    moved.emplace_back(bases.back() + Eigen::Vector2d(0.06, 0.08) +
+                       0.2 * Eigen::Vector2d(sown(random), sown(random)));
+  }
+  PlantRegistry registry;
+  SegmentedBlock first = blockWith({0, 0}, bases);
+  first.header.began_ns = 10U * kSecond;
+  first.header.stamp_ns = 20U * kSecond;
+  first.header.final = true;
+  registry.identify(first);
+  for (const std::size_t seen : {std::size_t{3}, bases.size()}) {
+    SegmentedBlock second =
+        blockWith({0, 0}, {moved.begin(), moved.begin() + static_cast<int>(seen)});
+    second.header.began_ns = 100U * kSecond;
+    second.header.stamp_ns = (100U + seen) * kSecond;
+    registry.identify(second);
+    if (seen < bases.size()) continue;
+    for (std::size_t k = 0; k < seen; ++k) EXPECT_EQ(second.plants[k].id, first.plants[k].id);
+  }
+  EXPECT_EQ(registry.size(), bases.size());
+}
+
 TEST(PlantRegistry, AClaimLapsesLongAfterItsBlockWasSeen) {
   constexpr std::uint64_t kThen = 5'000'000'000U;
   PlantRegistry registry;

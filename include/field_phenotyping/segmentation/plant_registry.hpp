@@ -26,7 +26,8 @@ struct KnownPlant {
 /// Between two passes the SLAM may have moved the map. Bases of the same plants then differ all in
 /// the same way, so a block that begins a new pass is first laid over what is known of its place:
 /// by the displacement, up to kMostShift, that brings the most bases together. How plants stand in
-/// their rows tells it even where it is half of their spacing.
+/// their rows tells it even where it is half of their spacing. What was named before enough of them
+/// were seen gets its older id once they are.
 ///
 /// It also settles which block reports a plant. Two blocks that share a border both see the plants
 /// on it, and may place a base on either side; the first block to claim such a plant keeps it until
@@ -117,6 +118,8 @@ class PlantRegistry {
   std::size_t size_ = 0U;  // of all of them
   std::map<BlockIndex, Claims> claims_;
   std::map<std::int32_t, BlockIndex> claimed_;  // the ids of all of those, and by whom
+  // Ids given near plants of an earlier pass before it was known how the map has moved, and when.
+  std::map<std::int32_t, std::uint64_t> in_doubt_;
   LastShift last_shift_;
   std::int32_t next_id_ = 0;
 };
