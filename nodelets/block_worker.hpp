@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <limits>
 #include <map>
 #include <mutex>
 #include <optional>
@@ -87,10 +88,12 @@ struct OverloadLimits {
 /// Works blocks one after another on a thread of its own, so that callbacks return at once. A newer
 /// revision takes the place of one of the same pass that still waits: no block is worked in vain.
 ///
-/// In the order in which they came, until one has waited for too long. From then on blocks of which
-/// nothing has been worked in their pass go first, then final ones, then updates, each the newest
-/// first; where too many points wait the last in that order are dropped. That ends by itself when
-/// less comes. Thread-safe.
+/// Blocks of which nothing has been worked in their pass go first, then those of which less than
+/// half has, for they give plants their first values, then final ones, then updates, each in the
+/// order in which they came. Once one has waited for too long each the newest first; where too many
+/// points wait the last in that order are dropped. That ends by itself when less comes. What was
+/// last seen before another block was first seen goes before that one: what an earlier pass has
+/// found must be known by then. Thread-safe.
 template <class T>
 class BlockWorker {
  public:
@@ -193,22 +196,21 @@ class BlockWorker {
     return ros::WallTime::now() - std::max(waiting_.front().arrival, *opened_) > limits_.after;
   }
 
-  /// Whether nothing of the block has been worked in this pass.
-  bool isFresh(const BlockHeader& header) const {
+  /// The lowest go first.
+  int rankOf(const Task& task) const {
+    const BlockHeader& header = headerOf(*task.block);
     const auto worked = worked_.find(header.index);
-    return worked == worked_.end() || worked->second != header.began_ns;
+    if (worked == worked_.end() || worked->second.began_ns != header.began_ns) return 0;
+    if (pointsOf(*task.block) > 2U * worked->second.points) return 1;
+    return header.final ? 2 : 3;
   }
 
   /// Whether `a` is to be worked before `b` when not all can be.
   bool isWorthMore(const Task& a, const Task& b) const {
-    const auto rank = [this](const BlockHeader& header) {
-      if (isFresh(header)) return 0;
-      return header.final ? 1 : 2;
-    };
-    const BlockHeader& of_a = headerOf(*a.block);
-    const BlockHeader& of_b = headerOf(*b.block);
-    if (rank(of_a) != rank(of_b)) return rank(of_a) < rank(of_b);
-    return of_a.stamp_ns > of_b.stamp_ns;
+    const int rank_a = rankOf(a);
+    const int rank_b = rankOf(b);
+    if (rank_a != rank_b) return rank_a < rank_b;
+    return headerOf(*a.block).stamp_ns > headerOf(*b.block).stamp_ns;
   }
 
   /// @return how many of those that wait were dropped; one stays, however large
@@ -228,17 +230,24 @@ class BlockWorker {
   }
 
   Task takeNext() {
-    const auto worth_more = [this](const Task& a, const Task& b) { return isWorthMore(a, b); };
-    const auto next = isOverloaded()
-                          ? std::min_element(waiting_.begin(), waiting_.end(), worth_more)
-                          : waiting_.begin();
+    const bool overloaded = isOverloaded();
+    std::uint64_t earliest = std::numeric_limits<std::uint64_t>::max();
+    for (const Task& task : waiting_) earliest = std::min(earliest, headerOf(*task.block).stamp_ns);
+    const auto must_wait = [&](const Task& task) {
+      return headerOf(*task.block).began_ns > earliest;
+    };
+    const auto goes_first = [&](const Task& a, const Task& b) {
+      if (must_wait(a) != must_wait(b)) return must_wait(b);
+      return overloaded ? isWorthMore(a, b) : rankOf(a) < rankOf(b);
+    };
+    const auto next = std::min_element(waiting_.begin(), waiting_.end(), goes_first);
     const Task task = *next;
     waiting_.erase(next);
     const BlockHeader& header = headerOf(*task.block);
     if (header.final) {
       worked_.erase(header.index);
     } else {
-      worked_[header.index] = header.began_ns;
+      worked_[header.index] = {header.began_ns, pointsOf(*task.block)};
     }
     return task;
   }
@@ -265,12 +274,17 @@ class BlockWorker {
     }
   }
 
+  struct Worked {
+    std::uint64_t began_ns = 0U;  // the pass
+    std::size_t points = 0U;
+  };
+
   const OverloadLimits limits_;
   Calls calls_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
-  std::deque<Task> waiting_;                    // as they came
-  std::map<BlockIndex, std::uint64_t> worked_;  // passes in which open blocks have been worked
+  std::deque<Task> waiting_;             // as they came
+  std::map<BlockIndex, Worked> worked_;  // the last time that open blocks were
   BlockHistory<T> history_;
   std::optional<ros::WallTime> opened_;  // since when work is done
   bool busy_ = false;

@@ -1,6 +1,7 @@
 #include "durable_table.hpp"
 
 #include <filesystem>
+#include <set>
 #include <utility>
 
 namespace field_phenotyping {
@@ -10,6 +11,9 @@ namespace {
 constexpr std::size_t kMostWaiting = 5000U;
 
 const ros::WallDuration kRetryInterval(1.0);
+
+// Of the last reports: about a megabyte, and more than are open at a time.
+constexpr std::uint64_t kBlocksInMemory = 32U;
 
 std::string journalOf(const ros::NodeHandle& pnh) {
   return pnh.param<std::string>("journal", "");
@@ -23,9 +27,8 @@ bool beginsAnew(const ros::NodeHandle& pnh) {
 
 DurableTable::DurableTable(const ros::NodeHandle& pnh, StageHealth& health)
     : path_(journalOf(pnh)), health_(health) {
-  if (path_.empty()) return;
   try {
-    if (beginsAnew(pnh)) {
+    if (!path_.empty() && beginsAnew(pnh)) {
       const std::string other = moveJournalAside(path_);
       if (!other.empty()) ROS_INFO_STREAM("the journal of an earlier run is now " << other);
     }
@@ -37,31 +40,72 @@ DurableTable::DurableTable(const ros::NodeHandle& pnh, StageHealth& health)
 
 void DurableTable::open() {
   auto journal = std::make_unique<PhenotypeJournal>(path_, PhenotypeJournal::Access::kWrite);
-  std::int64_t position = 0;
-  PlantTable earlier;
-  const bool fresh = readInto(earlier, *journal, position) == 0U;
-  if (begun_ && !fresh) {
+  const std::size_t plants = journal->plants();
+  if (begun_ && plants > 0U) {
     throw JournalError(
         "the journal " + path_ +
         " could not be read at the start and turns out to hold plants, whose ids may "
         "have been given again meanwhile: nothing is written to it. Start again");
   }
   journal_ = std::move(journal);
-  if (fresh) return;
-  table_ = std::move(earlier);
-  ROS_INFO_STREAM("going on with the " << table_.size() << " plants of " << path_);
+  size_ += plants;
+  if (plants > 0U) ROS_INFO_STREAM("going on with the " << plants << " plants of " << path_);
 }
 
 PlantTable::Change DurableTable::update(const BlockHeader& header,
                                         const std::vector<Phenotype>& plants) {
   const ReportSource source(header);
+  recall(source.block, plants);
   PlantTable::Change change = table_.update(source, plants);
-  if (path_.empty() || !change.accepted) return change;
+  if (!change.accepted) return change;
+  size_ += change.added;
+  size_ -= change.removed.size();
   begun_ = true;
   waiting_.push_back({source, plants});
   frame_id_ = header.frame_id;
   write();
+  used_[source.block] = ++reports_;
+  forgetOldest();
   return change;
+}
+
+/// What was forgotten of a block and its plants, or is of an earlier run.
+void DurableTable::recall(const BlockIndex& block, const std::vector<Phenotype>& plants) {
+  if (!journal_) return;
+  try {
+    recallInto(table_, *journal_, block, plants);
+  } catch (const JournalError& error) {
+    health_.trouble("journal", std::string(error.what()) + ". Earlier passes do not count");
+  }
+}
+
+/// Nothing is forgotten that is not in the journal.
+void DurableTable::forgetOldest() {
+  if (used_.size() < 2U * kBlocksInMemory || !waiting_.empty()) return;
+  std::set<BlockIndex> kept;
+  for (auto block = used_.begin(); block != used_.end();) {
+    if (block->second + kBlocksInMemory > reports_) {
+      kept.insert(block->first);
+      ++block;
+    } else {
+      block = used_.erase(block);
+    }
+  }
+  table_.keepOnly(kept);
+}
+
+std::vector<Phenotype> DurableTable::allPlants() const {
+  if (!journal_) return table_.plants();
+  try {
+    PlantTable all;
+    std::int64_t position = 0;
+    readInto(all, *journal_, position);
+    for (const PlantReport& report : waiting_) all.update(report.source, report.plants);
+    return all.plants();
+  } catch (const JournalError& error) {
+    health_.trouble("journal", error.what());
+    return table_.plants();
+  }
 }
 
 void DurableTable::retry() {
@@ -93,11 +137,7 @@ void restorePlants(const ros::NodeHandle& pnh, StageHealth& health, PlantRegistr
   const std::string path = journalOf(pnh);
   if (path.empty() || beginsAnew(pnh) || !std::filesystem::exists(path)) return;
   try {
-    const PhenotypeJournal journal(path, PhenotypeJournal::Access::kRead);
-    PlantTable table;
-    std::int64_t position = 0;
-    readInto(table, journal, position);
-    registry.restore(table.known());
+    registry.restore(PhenotypeJournal(path, PhenotypeJournal::Access::kRead).knownPlants());
   } catch (const JournalError& error) {
     health.trouble("journal", std::string(error.what()) + ". Plants of earlier runs get new ids");
   }

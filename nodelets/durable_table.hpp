@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <deque>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -14,10 +15,11 @@
 
 namespace field_phenotyping {
 
-/// A PlantTable that outlives its process: every report goes to the journal `~journal` (empty:
-/// none) before anybody else hears of it, and what that holds is known from the start. Where the
-/// journal cannot be written, measuring goes on, `health` says so, and reports wait until it can.
-/// Not thread-safe.
+/// A PlantTable that outlives its process: every report goes to the journal `~journal` before
+/// anybody else hears of it, and what that holds is known from the start. Only the blocks of the
+/// last reports are in memory; the others are read again when they are passed again. Without
+/// `~journal` a temporary file takes its place. Where it cannot be written, measuring goes on,
+/// `health` says so, and reports wait in memory until it can. Not thread-safe.
 class DurableTable {
  public:
   /// With `~new_journal` an older journal is moved aside and a new one begun.
@@ -26,20 +28,30 @@ class DurableTable {
   PlantTable::Change update(const BlockHeader& header, const std::vector<Phenotype>& plants);
   /// Tries again to write what waits, at most once a second; call it often.
   void retry();
-  const PlantTable& table() const { return table_; }
+  /// What is known of the blocks of the last reports.
+  const PlantTable& recent() const { return table_; }
+  /// Everything, as PlantTable::plants() gives it.
+  std::vector<Phenotype> allPlants() const;
+  /// Of all plants.
+  std::size_t size() const { return size_; }
 
  private:
   void open();
+  void recall(const BlockIndex& block, const std::vector<Phenotype>& plants);
+  void forgetOldest();
   void write();
 
   const std::string path_;
   StageHealth& health_;
   PlantTable table_;
   std::unique_ptr<PhenotypeJournal> journal_;
-  std::deque<JournalReport> waiting_;  // to be written
-  std::string frame_id_;               // of those
-  ros::WallTime tried_;                // to write them
-  bool begun_ = false;                 // reports were made, so an older journal comes too late
+  std::size_t size_ = 0U;
+  std::map<BlockIndex, std::uint64_t> used_;  // blocks in memory, by which report was their last
+  std::uint64_t reports_ = 0U;
+  std::deque<PlantReport> waiting_;  // to be written
+  std::string frame_id_;             // of those
+  ros::WallTime tried_;              // to write them
+  bool begun_ = false;               // reports were made, so an older journal comes too late
 };
 
 /// Names plants as an earlier run did, whose journal is `~journal`.

@@ -36,7 +36,7 @@ boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
   const PlantTable::Change change =
       plants_.update(header, measureBlock(block, parameters, stage_.device()));
   showDeviceUse(stage_.device(), stage_.health());
-  const std::vector<Phenotype> plants = plants_.table().plantsOf(header.index);
+  const std::vector<Phenotype> plants = plants_.recent().plantsOf(header.index);
   header_ = messageHeader(header);
   noteFirstValues(header, change.added);
   if (change.accepted) {
@@ -45,7 +45,7 @@ boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
     rows_outdated_ = true;
     last_place_ = header.lowCorner();
   }
-  stage_.health().show("plants known", static_cast<double>(plants_.table().size()));
+  stage_.health().show("plants known", static_cast<double>(plants_.size()));
   stage_.health().show("plants in the last block", static_cast<double>(plants.size()));
   return boost::make_shared<PlantPhenotypeArray>(toMessage(plants, header));
 }
@@ -60,11 +60,11 @@ void MeasurementStage::noteFirstValues(const BlockHeader& header, std::size_t pl
 }
 
 void MeasurementStage::showMarkers() {
-  if (markers_.getNumSubscribers() > 0U && plants_.table().size() + removed_.size() > 0U) {
+  if (markers_.getNumSubscribers() > 0U && plants_.size() + removed_.size() > 0U) {
     if (new_listener_.exchange(false)) {
       markers_.publish(noMarkers(header_));
       rows_outdated_ = true;
-      markers_.publish(plantMarkers(plants_.table().plants(), header_));
+      markers_.publish(plantMarkers(plants_.allPlants(), header_));
     } else {
       if (!removed_.empty()) markers_.publish(removedMarkers(removed_, header_));
       if (!fresh_.empty()) markers_.publish(plantMarkers(fresh_, header_));
@@ -82,7 +82,7 @@ void MeasurementStage::showRows() {
   if (now - rows_time_ < kRowsInterval) return;
   rows_time_ = now;
   rows_outdated_ = false;
-  std::vector<Phenotype> near = plants_.table().plants();
+  std::vector<Phenotype> near = plants_.recent().plants();
   near.erase(std::remove_if(near.begin(), near.end(),
                             [this](const Phenotype& plant) {
                               return (plant.base.head<2>() - last_place_).norm() > kRowsReach;

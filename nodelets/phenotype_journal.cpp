@@ -7,7 +7,10 @@
 #include <cmath>
 #include <cstring>
 #include <filesystem>
+#include <map>
+#include <set>
 #include <system_error>
+#include <utility>
 
 #include "conversions.hpp"
 
@@ -32,6 +35,7 @@ CREATE TABLE IF NOT EXISTS plant (
   message BLOB NOT NULL);
 CREATE INDEX IF NOT EXISTS plant_of_report ON plant (report);
 CREATE INDEX IF NOT EXISTS report_of_plant ON plant (plant_id);
+CREATE INDEX IF NOT EXISTS report_of_block ON report (block_x, block_y);
 )";
 
 std::vector<std::uint8_t> bytesOf(const Phenotype& plant) {
@@ -92,13 +96,16 @@ class PhenotypeJournal::Statement {
     if (result != SQLITE_DONE) journal_.fail("use");
     return false;
   }
+  /// Readies it for other values.
+  void reset() { sqlite3_reset(statement_); }
   /// Runs a statement without rows, and readies it for other values.
   void run() {
     step();
-    sqlite3_reset(statement_);
+    reset();
   }
 
   std::int64_t integer(int k) const { return sqlite3_column_int64(statement_, k); }
+  double real(int k) const { return sqlite3_column_double(statement_, k); }
   std::string text(int k) const {
     const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(statement_, k));
     return text == nullptr ? "" : text;
@@ -115,7 +122,7 @@ class PhenotypeJournal::Statement {
 
 PhenotypeJournal::PhenotypeJournal(const std::string& path, Access access)
     : path_(path), database_(nullptr, sqlite3_close) {
-  if (access == Access::kWrite) {
+  if (access == Access::kWrite && !path.empty()) {
     std::error_code error;
     const auto folder = std::filesystem::path(path).parent_path();
     if (!folder.empty()) std::filesystem::create_directories(folder, error);
@@ -133,6 +140,7 @@ PhenotypeJournal::PhenotypeJournal(const std::string& path, Access access)
   sqlite3_busy_timeout(database, kBusyTimeout);
   if (access == Access::kWrite) {
     execute("PRAGMA journal_mode = WAL");
+    execute("PRAGMA cache_size = -512");  // [KiB] pages are written and hardly read again
     execute("PRAGMA synchronous = FULL");
     execute(kSchema);
     if (setting("plant").empty()) {
@@ -191,7 +199,7 @@ std::string PhenotypeJournal::identity() const {
   return setting("identity");
 }
 
-void PhenotypeJournal::append(const JournalReport& report) {
+void PhenotypeJournal::append(const PlantReport& report) {
   execute("BEGIN IMMEDIATE");
   try {
     Statement head(*this,
@@ -226,8 +234,19 @@ void PhenotypeJournal::append(const JournalReport& report) {
   }
 }
 
-std::vector<JournalReport> PhenotypeJournal::readAfter(std::int64_t& position) const {
-  std::vector<JournalReport> reports;
+/// Of columns block_x, block_y, began_ns, stamp_ns, revision; without plants.
+PlantReport PhenotypeJournal::reportOf(const Statement& row, int first_column) {
+  PlantReport report;
+  report.source.block = {static_cast<std::int32_t>(row.integer(first_column)),
+                         static_cast<std::int32_t>(row.integer(first_column + 1))};
+  report.source.began_ns = static_cast<std::uint64_t>(row.integer(first_column + 2));
+  report.source.stamp_ns = static_cast<std::uint64_t>(row.integer(first_column + 3));
+  report.source.revision = static_cast<std::uint32_t>(row.integer(first_column + 4));
+  return report;
+}
+
+std::vector<PlantReport> PhenotypeJournal::readAfter(std::int64_t& position) const {
+  std::vector<PlantReport> reports;
   Statement rows(*this,
                  "SELECT number, block_x, block_y, began_ns, stamp_ns, revision, message "
                  "FROM report LEFT JOIN plant ON plant.report = report.number "
@@ -237,23 +256,95 @@ std::vector<JournalReport> PhenotypeJournal::readAfter(std::int64_t& position) c
   while (rows.step()) {
     if (reports.empty() || rows.integer(0) != position) {
       position = rows.integer(0);
-      JournalReport report;
-      report.source.block = {static_cast<std::int32_t>(rows.integer(1)),
-                             static_cast<std::int32_t>(rows.integer(2))};
-      report.source.began_ns = static_cast<std::uint64_t>(rows.integer(3));
-      report.source.stamp_ns = static_cast<std::uint64_t>(rows.integer(4));
-      report.source.revision = static_cast<std::uint32_t>(rows.integer(5));
-      reports.push_back(std::move(report));
+      reports.push_back(reportOf(rows, 1));
     }
     if (rows.has(kMessage)) reports.back().plants.push_back(rows.plant(kMessage));
   }
   return reports;
 }
 
+std::set<std::int32_t> PhenotypeJournal::plantsOf(const BlockIndex& block) const {
+  Statement rows(*this,
+                 "SELECT DISTINCT plant_id FROM report JOIN plant ON plant.report = number "
+                 "WHERE block_x = ? AND block_y = ?");
+  rows.bind(1, std::int64_t{block.x});
+  rows.bind(2, std::int64_t{block.y});
+  std::set<std::int32_t> plants;
+  while (rows.step()) plants.insert(static_cast<std::int32_t>(rows.integer(0)));
+  return plants;
+}
+
+std::vector<PlantReport> PhenotypeJournal::readAbout(const BlockIndex& block,
+                                                     const std::set<std::int32_t>& plants) const {
+  std::map<std::int64_t, std::vector<Phenotype>> said;  // by number of the report
+  std::set<BlockIndex> blocks{block};
+  Statement of_plant(*this,
+                     "SELECT number, block_x, block_y, message "
+                     "FROM plant JOIN report ON plant.report = number WHERE plant_id = ?");
+  for (const std::int32_t id : plants) {
+    of_plant.bind(1, std::int64_t{id});
+    while (of_plant.step()) {
+      said[of_plant.integer(0)].push_back(of_plant.plant(3));
+      blocks.insert({static_cast<std::int32_t>(of_plant.integer(1)),
+                     static_cast<std::int32_t>(of_plant.integer(2))});
+    }
+    of_plant.reset();
+  }
+  std::map<std::int64_t, PlantReport> reports;  // by number
+  Statement of_block(*this,
+                     "SELECT number, block_x, block_y, began_ns, stamp_ns, revision FROM report "
+                     "WHERE block_x = ? AND block_y = ?");
+  for (const BlockIndex& index : blocks) {
+    of_block.bind(1, std::int64_t{index.x});
+    of_block.bind(2, std::int64_t{index.y});
+    while (of_block.step()) {
+      PlantReport report = reportOf(of_block, 1);
+      report.plants = std::move(said[of_block.integer(0)]);
+      reports.emplace(of_block.integer(0), std::move(report));
+    }
+    of_block.reset();
+  }
+  std::vector<PlantReport> in_order;
+  for (auto& [number, report] : reports) in_order.push_back(std::move(report));
+  return in_order;
+}
+
+std::vector<KnownPlant> PhenotypeJournal::knownPlants() const {
+  // SQLite takes the other columns from the row that has the maximum.
+  Statement rows(*this,
+                 "SELECT plant_id, x, y, stamp_ns, MAX(number) "
+                 "FROM plant JOIN report ON plant.report = number GROUP BY plant_id");
+  std::vector<KnownPlant> known;
+  while (rows.step()) {
+    known.push_back({static_cast<std::int32_t>(rows.integer(0)),
+                     {rows.real(1), rows.real(2)},
+                     static_cast<std::uint64_t>(rows.integer(3))});
+  }
+  return known;
+}
+
+std::size_t PhenotypeJournal::plants() const {
+  Statement count(*this, "SELECT COUNT(DISTINCT plant_id) FROM plant");
+  count.step();
+  return static_cast<std::size_t>(count.integer(0));
+}
+
 std::size_t readInto(PlantTable& table, const PhenotypeJournal& journal, std::int64_t& position) {
-  const std::vector<JournalReport> reports = journal.readAfter(position);
-  for (const JournalReport& report : reports) table.update(report.source, report.plants);
+  const std::vector<PlantReport> reports = journal.readAfter(position);
+  for (const PlantReport& report : reports) table.update(report.source, report.plants);
   return reports.size();
+}
+
+void recallInto(PlantTable& table, const PhenotypeJournal& journal, const BlockIndex& block,
+                const std::vector<Phenotype>& plants) {
+  const bool new_block = !table.holds(block);
+  std::set<std::int32_t> wanted;
+  if (new_block) wanted = journal.plantsOf(block);
+  for (const Phenotype& plant : plants) {
+    if (!table.holds(plant.id)) wanted.insert(plant.id);
+  }
+  if (!new_block && wanted.empty()) return;
+  table.recall(block, journal.readAbout(block, wanted));
 }
 
 std::string moveJournalAside(const std::string& path) {

@@ -2,11 +2,13 @@
 
 #include <cstdint>
 #include <memory>
+#include <set>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
 #include "field_phenotyping/measurement/phenotype.hpp"
+#include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "plant_table.hpp"
 
 struct sqlite3;
@@ -17,12 +19,6 @@ namespace field_phenotyping {
 class JournalError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
-};
-
-/// What one revision of a block said about its plants.
-struct JournalReport {
-  ReportSource source;
-  std::vector<Phenotype> plants;
 };
 
 /// Everything that was ever reported about the plants of one map, as an SQLite file that only
@@ -36,7 +32,8 @@ class PhenotypeJournal {
  public:
   enum class Access { kRead, kWrite };
 
-  /// Opens the journal; to write, it and its folder are made if need be.
+  /// Opens the journal; to write, it and its folder are made if need be. To write, the path may be
+  /// empty: a temporary file that goes with this object.
   /// @throws JournalError also where it was written by a version with other traits
   PhenotypeJournal(const std::string& path, Access access);
   ~PhenotypeJournal();
@@ -49,17 +46,29 @@ class PhenotypeJournal {
   void setFrameId(const std::string& frame_id);
 
   /// Durable when it returns. @throws JournalError
-  void append(const JournalReport& report);
+  void append(const PlantReport& report);
 
   /// Another one for each journal ever made: tells whether the file was replaced.
   std::string identity() const;
 
   /// The reports after `position`, which is moved on: 0 for all. @throws JournalError
-  std::vector<JournalReport> readAfter(std::int64_t& position) const;
+  std::vector<PlantReport> readAfter(std::int64_t& position) const;
+  /// The plants that the block ever named. @throws JournalError
+  std::set<std::int32_t> plantsOf(const BlockIndex& block) const;
+  /// For PlantTable::recall(). @throws JournalError
+  std::vector<PlantReport> readAbout(const BlockIndex& block,
+                                     const std::set<std::int32_t>& plants) const;
+
+  /// Every plant that was ever reported, where it was last: for PlantRegistry::restore().
+  /// @throws JournalError
+  std::vector<KnownPlant> knownPlants() const;
+  /// How many those are. @throws JournalError
+  std::size_t plants() const;
 
  private:
   class Statement;
 
+  static PlantReport reportOf(const Statement& row, int first_column);
   std::string setting(const std::string& name) const;
   void set(const std::string& name, const std::string& value);
   void execute(const char* sql);
@@ -72,6 +81,10 @@ class PhenotypeJournal {
 /// Adds the reports after `position`, which is moved on, to `table`. @return how many there were.
 /// @throws JournalError
 std::size_t readInto(PlantTable& table, const PhenotypeJournal& journal, std::int64_t& position);
+
+/// Makes `table` know all that the journal says of a block and of plants. @throws JournalError
+void recallInto(PlantTable& table, const PhenotypeJournal& journal, const BlockIndex& block,
+                const std::vector<Phenotype>& plants);
 
 /// Gives the journal at `path` another name beside it, so that a new one begins; nothing where
 /// there is none. @return the other name, or empty. @throws JournalError

@@ -1,6 +1,8 @@
 #include "plant_table.hpp"
 
 #include <algorithm>
+#include <iterator>
+#include <utility>
 
 #include "field_phenotyping/measurement/pass_fusion.hpp"
 
@@ -87,6 +89,32 @@ bool PlantTable::takeBack(const ReportSource& source, std::int32_t id) {
   return true;
 }
 
+void PlantTable::recall(const BlockIndex& block, const std::vector<PlantReport>& reports) {
+  PlantTable earlier;
+  for (const PlantReport& report : reports) earlier.update(report.source, report.plants);
+  for (auto& [id, entry] : earlier.plants_) {
+    if (plants_.count(id) > 0U) continue;
+    by_block_[entry.block].insert(id);
+    plants_.emplace(id, std::move(entry));
+  }
+  const auto said = earlier.reports_.find(block);
+  if (said != earlier.reports_.end()) reports_.emplace(block, std::move(said->second));
+}
+
+void PlantTable::keepOnly(const std::set<BlockIndex>& blocks) {
+  for (auto entry = by_block_.begin(); entry != by_block_.end();) {
+    if (blocks.count(entry->first) > 0U) {
+      ++entry;
+      continue;
+    }
+    for (const std::int32_t id : entry->second) plants_.erase(id);
+    entry = by_block_.erase(entry);
+  }
+  for (auto said = reports_.begin(); said != reports_.end();) {
+    said = blocks.count(said->first) > 0U ? std::next(said) : reports_.erase(said);
+  }
+}
+
 /// Not kept: most plants are passed once, and there are many of them.
 Phenotype PlantTable::fused(const Entry& entry) {
   std::vector<Phenotype> passes;
@@ -107,14 +135,6 @@ std::vector<Phenotype> PlantTable::plantsOf(const BlockIndex& block) const {
   if (ids == by_block_.end()) return plants;
   for (const std::int32_t id : ids->second) plants.push_back(fused(plants_.at(id)));
   return plants;
-}
-
-std::vector<KnownPlant> PlantTable::known() const {
-  std::vector<KnownPlant> known;
-  for (const auto& [id, entry] : plants_) {
-    known.push_back({id, fused(entry).base.head<2>(), entry.passes.back().source.stamp_ns});
-  }
-  return known;
 }
 
 }  // namespace field_phenotyping

@@ -8,7 +8,6 @@
 
 #include "field_phenotyping/measurement/phenotype.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
-#include "field_phenotyping/segmentation/plant_registry.hpp"
 
 namespace field_phenotyping {
 
@@ -27,6 +26,12 @@ struct ReportSource {
         revision(header.revision) {}
 };
 
+/// What one revision of a block said about its plants.
+struct PlantReport {
+  ReportSource source;
+  std::vector<Phenotype> plants;
+};
+
 /// What is believed of all plants seen so far, one entry an id. What several passes say of a plant
 /// is fused (fusePasses()); within a pass the newest revision counts. Not thread-safe.
 class PlantTable {
@@ -42,12 +47,20 @@ class PlantTable {
   /// that another pass has found is believed in even where this one does not see it.
   Change update(const ReportSource& source, const std::vector<Phenotype>& plants);
 
+  /// Takes in what was said before of a block and of plants, where it is not known here.
+  /// @param reports of the block, and of all others that ever named one of these plants, as they
+  ///                came; of other plants nothing
+  void recall(const BlockIndex& block, const std::vector<PlantReport>& reports);
+  /// Whether the table knows what was said of the block.
+  bool holds(const BlockIndex& block) const { return reports_.count(block) > 0U; }
+  bool holds(std::int32_t id) const { return plants_.count(id) > 0U; }
+  /// Forgets all blocks but these, and the plants that others were the last to report.
+  void keepOnly(const std::set<BlockIndex>& blocks);
+
   /// All plants, ordered by id.
   std::vector<Phenotype> plants() const;
   /// Those that the block was the last to report, ordered by id.
   std::vector<Phenotype> plantsOf(const BlockIndex& block) const;
-  /// For PlantRegistry::restore().
-  std::vector<KnownPlant> known() const;
   std::size_t size() const { return plants_.size(); }
 
  private:

@@ -159,7 +159,8 @@ struct SegmentationParameters {
     v(ParameterInfo{"seed_min_score", "",
                     "least stem evidence that makes a candidate for a stem, in slabs that show it"},
       p.seed_min_score, 0.1, 100.0);
-    v(ParameterInfo{"min_plant_spacing", "m", "two stems are at least this far apart at the soil"},
+    v(ParameterInfo{"min_plant_spacing", "m",
+                    "two stems are at least this far apart at the soil unless seen side by side"},
       p.min_plant_spacing, 0.01, 2.0);
     v(ParameterInfo{"row_spacing", "m",
                     "between the rows that plants are expected in; 0: found from the plants"},

@@ -2,17 +2,22 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <tuple>
 
 namespace field_phenotyping {
 namespace {
 
-constexpr double kCell = 1.0;  // [m] of the registry's drawers
+constexpr double kCell = 4.0;  // [m] about a block: entries of one cell lie together
 
 std::pair<std::int64_t, std::int64_t> cellOf(const Eigen::Vector2d& base) {
   return {static_cast<std::int64_t>(std::floor(base.x() / kCell)),
           static_cast<std::int64_t>(std::floor(base.y() / kCell))};
+}
+
+Eigen::Vector2d cornerOf(const std::pair<std::int64_t, std::int64_t>& cell) {
+  return kCell * Eigen::Vector2d(static_cast<double>(cell.first), static_cast<double>(cell.second));
 }
 
 /// How well the bases fit what is known if the map has moved by `shift`: about the number of those
@@ -39,40 +44,79 @@ double agreement(const std::vector<Eigen::Vector2d>& bases,
 
 PlantRegistry::PlantRegistry(double match_radius) : match_radius_(match_radius) {}
 
-void PlantRegistry::file(const Entry& entry) {
-  const Cell cell = cellOf(entry.base);
-  if (entry.claimed) claims_[entry.owner].insert(cell);
-  entries_.emplace(cell, entry);
+void PlantRegistry::file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns) {
+  constexpr std::size_t kRoom = 8U;  // as vectors grow by themselves, half of them would be empty
+  const Cell cell = cellOf(base);
+  std::vector<Entry>& entries = entries_[cell];
+  if (entries.size() == entries.capacity()) entries.reserve(entries.size() + kRoom);
+  entries.push_back({stamp_ns, (base - cornerOf(cell)).cast<float>(), id});
+  ++size_;
+}
+
+void PlantRegistry::takeOut(const Known& known) {
+  std::vector<Entry>& entries = entries_.at(known.cell);
+  entries.erase(std::find_if(entries.begin(), entries.end(),
+                             [&](const Entry& entry) { return entry.id == known.id; }));
+  --size_;
 }
 
 void PlantRegistry::restore(const std::vector<KnownPlant>& plants) {
   const std::lock_guard<std::mutex> lock(mutex_);
   for (const KnownPlant& plant : plants) {
-    Entry entry;
-    entry.id = plant.id;
-    entry.base = plant.base;
-    entry.stamp_ns = plant.stamp_ns;
-    file(entry);
+    file(plant.id, plant.base, plant.stamp_ns);
     next_id_ = std::max(next_id_, plant.id + 1);
   }
 }
 
-void PlantRegistry::releaseClaims(const BlockIndex& block) {
-  const auto claims = claims_.find(block);
-  if (claims == claims_.end()) return;
-  for (const Cell& cell : claims->second) {
-    const auto [begin, end] = entries_.equal_range(cell);
-    for (auto entry = begin; entry != end; ++entry) {
-      if (entry->second.owner == block) entry->second.claimed = false;
+/// Those of the block, and those that hold no longer.
+void PlantRegistry::releaseClaims(const BlockHeader& header) {
+  for (auto claims = claims_.begin(); claims != claims_.end();) {
+    const std::uint64_t then = claims->second.stamp_ns;
+    const std::uint64_t apart =
+        header.stamp_ns > then ? header.stamp_ns - then : then - header.stamp_ns;
+    if (!(claims->first == header.index) && apart <= kClaimHolds) {
+      ++claims;
+      continue;
     }
+    for (const std::int32_t id : claims->second.ids) claimed_.erase(id);
+    claims = claims_.erase(claims);
   }
-  claims_.erase(claims);
+  for (auto doubt = in_doubt_.begin(); doubt != in_doubt_.end();) {
+    const bool old = header.stamp_ns > doubt->second + kClaimHolds;
+    doubt = old ? in_doubt_.erase(doubt) : std::next(doubt);
+  }
 }
 
-/// Every entry within `reach` of the rectangle that holds the bases.
-PlantRegistry::Found PlantRegistry::findNear(const std::vector<Eigen::Vector2d>& bases,
-                                             double reach) {
-  Found found;
+/// Those of the block that has claimed a plant; null where none has.
+const PlantRegistry::Claims* PlantRegistry::claimsOn(std::int32_t id) const {
+  const auto owner = claimed_.find(id);
+  return owner == claimed_.end() ? nullptr : &claims_.at(owner->second);
+}
+
+/// Whether another block reports the plant under another id: where it is one that this block does
+/// not see beside it, nor the other block this one. Else of such ids none is left but this one.
+bool PlantRegistry::isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
+                                     const std::vector<Known>& near, std::vector<bool>& given) {
+  for (std::size_t e = 0; e < near.size(); ++e) {
+    const Known& other = near[e];
+    if (given[e] || !((base - other.base).norm() < match_radius_)) continue;
+    const Claims* claims = claimsOn(other.id);
+    if (claims == nullptr || claims->seen.count(id) > 0U) continue;
+    // The older id stays, unless the other block has spoken for the last time.
+    if (other.id < id || claims->final) return true;
+    std::vector<std::int32_t>& ids = claims_.at(claimed_.at(other.id)).ids;
+    ids.erase(std::find(ids.begin(), ids.end(), other.id));
+    claimed_.erase(other.id);
+    takeOut(other);
+    given[e] = true;
+  }
+  return false;
+}
+
+/// Every plant within `reach` of the rectangle that holds the bases.
+std::vector<PlantRegistry::Known> PlantRegistry::findNear(const std::vector<Eigen::Vector2d>& bases,
+                                                          double reach) const {
+  std::vector<Known> found;
   if (bases.empty()) return found;
   Eigen::Vector2d low = bases.front();
   Eigen::Vector2d high = bases.front();
@@ -80,12 +124,19 @@ PlantRegistry::Found PlantRegistry::findNear(const std::vector<Eigen::Vector2d>&
     low = low.cwiseMin(base);
     high = high.cwiseMax(base);
   }
-  const Cell first = cellOf(low - Eigen::Vector2d::Constant(reach));
-  const Cell last = cellOf(high + Eigen::Vector2d::Constant(reach));
+  low.array() -= reach;
+  high.array() += reach;
+  const Cell first = cellOf(low);
+  const Cell last = cellOf(high);
   for (std::int64_t x = first.first; x <= last.first; ++x) {
     const auto end = entries_.upper_bound({x, last.second});
-    for (auto entry = entries_.lower_bound({x, first.second}); entry != end; ++entry) {
-      found.push_back(entry);
+    for (auto cell = entries_.lower_bound({x, first.second}); cell != end; ++cell) {
+      const Eigen::Vector2d corner = cornerOf(cell->first);
+      for (const Entry& entry : cell->second) {
+        const Eigen::Vector2d base = corner + entry.offset.cast<double>();
+        if ((base.array() < low.array()).any() || (base.array() > high.array()).any()) continue;
+        found.push_back({cell->first, entry.id, entry.stamp_ns, base});
+      }
     }
   }
   return found;
@@ -156,14 +207,14 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     plants.push_back(&plant);
     bases.push_back(all_bases.back());
   }
-  releaseClaims(header.index);
+  releaseClaims(header);
 
   // 1. What was seen before this pass began is where it was in the map of then.
-  const Found near = findNear(all_bases, kMostShift + match_radius_);
-  const auto seenEarlier = [&](const Entry& entry) { return entry.stamp_ns < header.began_ns; };
+  const std::vector<Known> near = findNear(all_bases, kMostShift + match_radius_);
+  const auto seenEarlier = [&](const Known& known) { return known.stamp_ns < header.began_ns; };
   std::vector<Eigen::Vector2d> earlier;
-  for (const auto& entry : near) {
-    if (seenEarlier(entry->second)) earlier.push_back(entry->second.base);
+  for (const Known& known : near) {
+    if (seenEarlier(known)) earlier.push_back(known.base);
   }
   Outcome outcome;
   const auto shift = findShift(all_bases, earlier, header.stamp_ns);
@@ -174,9 +225,8 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   std::vector<std::tuple<double, std::size_t, std::size_t>> pairs;  // distance, plant, entry
   for (std::size_t p = 0; p < bases.size(); ++p) {
     for (std::size_t e = 0; e < near.size(); ++e) {
-      const Entry& entry = near[e]->second;
-      Eigen::Vector2d expected = entry.base;
-      if (seenEarlier(entry)) expected += outcome.shift;
+      Eigen::Vector2d expected = near[e].base;
+      if (seenEarlier(near[e])) expected += outcome.shift;
       const double distance = (bases[p] - expected).norm();
       if (distance < match_radius_) pairs.emplace_back(distance, p, e);
     }
@@ -191,46 +241,88 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     given[e] = true;
   }
 
+  // Those that were named anew before it was known how the map has moved have their older ids back.
+  const bool sure = shift && shift->sure;
+  for (std::size_t p = 0; sure && p < bases.size(); ++p) {
+    if (entry_of[p] == kNone) continue;
+    const Known& named = near[entry_of[p]];
+    if (in_doubt_.count(named.id) == 0U || claimed_.count(named.id) > 0U) continue;
+    double nearest = match_radius_;
+    std::size_t older = kNone;
+    for (std::size_t e = 0; e < near.size(); ++e) {
+      if (given[e] || !seenEarlier(near[e])) continue;
+      const double distance = (bases[p] - near[e].base - outcome.shift).norm();
+      if (!(distance < nearest)) continue;
+      nearest = distance;
+      older = e;
+    }
+    if (older == kNone) continue;
+    given[entry_of[p]] = false;  // and goes, below
+    entry_of[p] = older;
+    given[older] = true;
+  }
+  for (std::size_t e = 0; sure && e < near.size(); ++e) {
+    if (given[e] || in_doubt_.count(near[e].id) == 0U || claimed_.count(near[e].id) > 0U) continue;
+    const bool of_another = std::any_of(bases.begin(), bases.end(), [&](const auto& base) {
+      return (base - near[e].base).norm() < match_radius_;
+    });
+    if (!of_another) continue;
+    takeOut(near[e]);
+    in_doubt_.erase(near[e].id);
+    given[e] = true;
+  }
+  const auto mayBeAnEarlierOne = [&](const Eigen::Vector2d& base) {
+    return std::any_of(near.begin(), near.end(), [&](const Known& known) {
+      return seenEarlier(known) && (base - known.base).norm() < kMostShift + match_radius_;
+    });
+  };
+
   // 3. Filed anew under their newest bases.
+  Claims claims;
+  claims.stamp_ns = header.stamp_ns;
+  claims.final = header.final;
   for (std::size_t p = 0; p < bases.size(); ++p) {
-    Entry entry;
-    entry.base = bases[p];
-    entry.stamp_ns = header.stamp_ns;
-    entry.owner = header.index;
-    entry.claimed = true;
+    std::int32_t id = next_id_;
     if (entry_of[p] == kNone) {
-      entry.id = next_id_++;
+      ++next_id_;
       ++outcome.added;
+      if (!sure && mayBeAnEarlierOne(bases[p])) in_doubt_[id] = header.stamp_ns;
     } else {
-      const auto known = near[entry_of[p]];
-      entry.id = known->second.id;
+      const Known& known = near[entry_of[p]];
+      id = known.id;
       ++outcome.known;
-      if (known->second.claimed) {
+      claims.seen.insert(id);
+      if (claimed_.count(id) > 0U) {
         plants[p]->owned = false;
         continue;
       }
-      entries_.erase(known);
+      takeOut(known);
+      if (isSameAsAnothers(id, bases[p], near, given)) {
+        plants[p]->owned = false;
+        continue;
+      }
     }
-    plants[p]->id = entry.id;
-    file(entry);
+    plants[p]->id = id;
+    file(id, bases[p], header.stamp_ns);
+    claims.ids.push_back(id);
+    claims.seen.insert(id);
+    claimed_.emplace(id, header.index);
   }
+  claims_[header.index] = std::move(claims);
 
   // 4. In the end, plants that are hidden in this pass have moved with the rest.
-  if (!shift || !shift->sure || !header.final) return outcome;
+  if (!sure || !header.final) return outcome;
   for (std::size_t e = 0; e < near.size(); ++e) {
-    if (given[e] || !seenEarlier(near[e]->second)) continue;
-    Entry moved = near[e]->second;
-    moved.base += shift->shift;
-    moved.stamp_ns = header.began_ns;
-    entries_.erase(near[e]);
-    file(moved);
+    if (given[e] || !seenEarlier(near[e])) continue;
+    takeOut(near[e]);
+    file(near[e].id, near[e].base + shift->shift, header.began_ns);
   }
   return outcome;
 }
 
 std::size_t PlantRegistry::size() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return entries_.size();
+  return size_;
 }
 
 }  // namespace field_phenotyping

@@ -8,6 +8,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/segmentation/found_twice.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
@@ -222,6 +223,9 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   parallelFor(stems.size(), [&](std::size_t s) {
     stems[s] = growStem(scene, stems[s].midline, max_gap, parameters);
   });
+
+  stems =
+      withoutFoundTwice(block, std::move(stems), static_cast<float>(parameters.min_plant_spacing));
 
   // Every other organ to its plant.
   std::vector<std::int32_t> stem_owner;

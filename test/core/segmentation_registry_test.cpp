@@ -111,6 +111,111 @@ TEST(PlantRegistry, AClaimIsReleasedWhenThePlantIsNoLongerFound) {
   EXPECT_EQ(identify(registry, blockWith({0, 0}, {{1.98, 1.0}}))[0], -1);
 }
 
+TEST(PlantRegistry, TwoIdsOfOnePlantBecomeOne) {
+  // At first two blocks place it 9 cm apart, each on its own side of the border; then they come
+  // together. Whichever speaks next or last, one id stays.
+  for (const bool left_first : {true, false}) {
+    for (const bool final : {true, false}) {
+      PlantRegistry registry;
+      const Eigen::Vector2d left_early(1.955, 1.0), right_early(2.045, 1.0);
+      const Eigen::Vector2d left_late(1.99, 1.0), right_late(2.01, 1.0);
+      std::set<std::int32_t> ids;
+      const auto say = [&](int x, const Eigen::Vector2d& base, bool last) {
+        SegmentedBlock block = blockWith({x, 0}, {base});
+        block.header.final = last;
+        registry.identify(block);
+        return block.plants[0].owned ? block.plants[0].id : -1;
+      };
+      const std::int32_t left = say(0, left_early, false);
+      const std::int32_t right = say(1, right_early, false);
+      ASSERT_NE(left, right);
+      ASSERT_GE(std::min(left, right), 0);
+      std::int32_t last_left = -1, last_right = -1;
+      for (int k = 0; k < 2; ++k) {
+        if (left_first) last_left = say(0, left_late, final);
+        last_right = say(1, right_late, final);
+        if (!left_first) last_left = say(0, left_late, final);
+      }
+      EXPECT_EQ((last_left >= 0 ? 1 : 0) + (last_right >= 0 ? 1 : 0), 1)
+          << last_left << " and " << last_right;
+      EXPECT_EQ(std::max(last_left, last_right), left) << "the older id";
+      EXPECT_EQ(registry.size(), 1U);
+    }
+  }
+}
+
+TEST(PlantRegistry, NeighboursTenCentimetresApartOnABorderStayTwo) {
+  // Both blocks see both of them, 5.5 cm apart at worst; none is given up.
+  for (unsigned seed = 0U; seed < 50U; ++seed) {
+    PlantRegistry registry;
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> error(-0.02, 0.02);
+    const Eigen::Vector2d one(1.95, 1.0), other(2.05, 1.0);
+    std::vector<std::set<std::int32_t>> ids(2U);
+    for (int k = 0; k < 6; ++k) {
+      SegmentedBlock block =
+          blockWith({k % 2, 0}, {one + Eigen::Vector2d(error(random), error(random)),
+                                 other + Eigen::Vector2d(error(random), error(random))});
+      block.header.final = k >= 4;
+      registry.identify(block);
+      for (std::size_t p = 0; p < 2U; ++p) {
+        if (block.plants[p].owned) ids[p].insert(block.plants[p].id);
+      }
+    }
+    EXPECT_EQ(ids[0].size(), 1U) << "seed " << seed;
+    EXPECT_EQ(ids[1].size(), 1U) << "seed " << seed;
+    EXPECT_NE(*ids[0].begin(), *ids[1].begin());
+    EXPECT_EQ(registry.size(), 2U);
+  }
+}
+
+TEST(PlantRegistry, PlantsNamedBeforeTheShiftIsKnownGetTheirOlderIds) {
+  // The map has moved by 10 cm, and the first revision of the second pass sees but three plants.
+  constexpr std::uint64_t kSecond = 1'000'000'000U;
+  std::mt19937 random(3U);
+  std::normal_distribution<double> sown(0.0, 0.015);
+  std::vector<Eigen::Vector2d> bases, moved;
+  for (int k = 0; k < 9; ++k) {
+    bases.emplace_back(0.1 + 0.2 * k + sown(random), 1.0 + sown(random));
+    moved.emplace_back(bases.back() + Eigen::Vector2d(0.06, 0.08) +
+                       0.2 * Eigen::Vector2d(sown(random), sown(random)));
+  }
+  PlantRegistry registry;
+  SegmentedBlock first = blockWith({0, 0}, bases);
+  first.header.began_ns = 10U * kSecond;
+  first.header.stamp_ns = 20U * kSecond;
+  first.header.final = true;
+  registry.identify(first);
+  for (const std::size_t seen : {std::size_t{3}, bases.size()}) {
+    SegmentedBlock second =
+        blockWith({0, 0}, {moved.begin(), moved.begin() + static_cast<int>(seen)});
+    second.header.began_ns = 100U * kSecond;
+    second.header.stamp_ns = (100U + seen) * kSecond;
+    registry.identify(second);
+    if (seen < bases.size()) continue;
+    for (std::size_t k = 0; k < seen; ++k) EXPECT_EQ(second.plants[k].id, first.plants[k].id);
+  }
+  EXPECT_EQ(registry.size(), bases.size());
+}
+
+TEST(PlantRegistry, AClaimLapsesLongAfterItsBlockWasSeen) {
+  constexpr std::uint64_t kThen = 5'000'000'000U;
+  PlantRegistry registry;
+  SegmentedBlock left = blockWith({0, 0}, {{1.98, 1.0}});
+  left.header.stamp_ns = kThen;
+  registry.identify(left);
+  ASSERT_GE(left.plants[0].id, 0);
+  SegmentedBlock soon = blockWith({1, 0}, {{2.01, 1.0}});
+  soon.header.stamp_ns = kThen + PlantRegistry::kClaimHolds;
+  registry.identify(soon);
+  EXPECT_FALSE(soon.plants[0].owned);
+  SegmentedBlock late = blockWith({1, 0}, {{2.01, 1.0}});
+  late.header.stamp_ns = kThen + PlantRegistry::kClaimHolds + 1U;
+  registry.identify(late);
+  EXPECT_TRUE(late.plants[0].owned);
+  EXPECT_EQ(late.plants[0].id, left.plants[0].id);
+}
+
 TEST(PlantRegistry, PlantsOfNeighboursAreLeftAlone) {
   PlantRegistry registry;
   SegmentedBlock block = blockWith({0, 0}, {{0.5, 0.5}, {2.4, 0.5}});

@@ -38,14 +38,23 @@ class SlowWorker {
   }
 
   BlockWorker<Block>::Arrival push(int x, std::uint64_t second, bool final,
-                                   std::size_t points = 10U) {
+                                   std::size_t points = 10U, std::uint64_t began = 0U) {
     const auto block = boost::make_shared<Block>();
     block->header.index = {x, 0};
-    block->header.began_ns = kBegan;
+    block->header.began_ns = kBegan + began * kSecond;
     block->header.stamp_ns = kBegan + second * kSecond;
     block->header.final = final;
     block->cloud.points.resize(points, Eigen::Vector3f::Zero());
     return worker_->push(block);
+  }
+
+  /// Lets it finish what it works on, and waits until it has begun the next.
+  void finishOne() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    const std::size_t begun = worked_.size();
+    ++finished_;
+    changed_.notify_all();
+    changed_.wait(lock, [&] { return worked_.size() > begun; });
   }
 
   /// Lets it work all that waits. @return the blocks' x in the order of work, without the first
@@ -67,15 +76,17 @@ class SlowWorker {
   void work(const BlockHeader& header) {
     std::unique_lock<std::mutex> lock(mutex_);
     worked_.push_back(header.index.x);
+    const std::size_t number = worked_.size();
     busy_ = true;
     changed_.notify_all();
-    changed_.wait(lock, [this] { return open_; });
+    changed_.wait(lock, [&] { return open_ || finished_ >= number; });
   }
 
   std::mutex mutex_;
   std::condition_variable changed_;
   bool busy_ = false;
   bool open_ = false;
+  std::size_t finished_ = 0U;  // blocks that it may finish
   std::vector<int> worked_;
   std::unique_ptr<BlockWorker<Block>> worker_;
 };
@@ -91,6 +102,36 @@ TEST(BlockWorker, WorksBlocksAsTheyComeWhileItKeepsUp) {
   EXPECT_TRUE(worker.push(2, 9U, true).replaced);
   EXPECT_FALSE(worker.overloaded());
   EXPECT_EQ(worker.finishAll(), (std::vector<int>{0, 1, 2, 3, 4}));
+}
+
+TEST(BlockWorker, BlocksOfWhichLittleIsKnownGoFirst) {
+  SlowWorker worker(kNever);
+  worker.push(101, 1U, false);
+  worker.finishOne();  // now 101 is at work
+  worker.push(101, 2U, false, 15U);
+  worker.push(100, 3U, true, 15U);
+  EXPECT_TRUE(worker.push(101, 4U, false, 18U).replaced);
+  worker.push(0, 5U, false);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{101, 0, 100, 101})) << "an update comes last";
+
+  SlowWorker other(kNever);
+  other.push(101, 1U, false);
+  other.finishOne();
+  other.push(100, 2U, true, 15U);
+  other.push(101, 3U, false, 30U);
+  EXPECT_EQ(other.finishAll(), (std::vector<int>{101, 101, 100})) << "most of it is new";
+}
+
+TEST(BlockWorker, AnEarlierPassIsFinishedFirst) {
+  for (const OverloadLimits& limits : {kNever, kAtOnce}) {
+    SlowWorker worker(limits);
+    worker.push(1, 30U, false, 10U, 20U);  // of the next pass
+    worker.push(100, 19U, true, 12U);
+    worker.push(0, 25U, false, 10U, 20U);
+    std::vector<int> order = worker.finishAll();
+    ASSERT_EQ(order.size(), 3U);
+    EXPECT_EQ(order.front(), 100);
+  }
 }
 
 TEST(BlockWorker, UnderOverloadWhatIsNewGoesFirst) {

@@ -8,7 +8,10 @@
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <random>
+#include <sstream>
 #include <string>
+#include <vector>
 
 namespace field_phenotyping {
 namespace {
@@ -25,8 +28,8 @@ class Journal : public ::testing::Test {
   }
   void TearDown() override { fs::remove_all(folder_); }
 
-  static JournalReport report(std::uint32_t revision, int plants) {
-    JournalReport result;
+  static PlantReport report(std::uint32_t revision, int plants) {
+    PlantReport result;
     result.source.block = {-3, 4};
     result.source.began_ns = 1604515190000000123U;
     result.source.stamp_ns = 1604515199000000456U;
@@ -118,6 +121,96 @@ TEST_F(Journal, OutlivesAProcessThatIsKilledAnywhere) {
       EXPECT_EQ(reports[k].plants.size(), 5U) << "half a report";
     }
     written_before = static_cast<std::uint32_t>(reports.size());
+  }
+}
+
+TEST_F(Journal, KnowsWhereEveryPlantWasLast) {
+  PhenotypeJournal journal(path_, Access::kWrite);
+  EXPECT_EQ(journal.plants(), 0U);
+  EXPECT_TRUE(journal.knownPlants().empty());
+  journal.append(report(1U, 3));
+  PlantReport moved = report(2U, 1);
+  moved.source.stamp_ns += 7U;
+  moved.plants[0].base.x() += 0.03;
+  journal.append(moved);
+  EXPECT_EQ(journal.plants(), 3U);
+  const std::vector<KnownPlant> known = journal.knownPlants();
+  ASSERT_EQ(known.size(), 3U);
+  EXPECT_EQ(known[0].id, 0);
+  EXPECT_EQ(known[0].base.x(), 448262.125 + 0.03);
+  EXPECT_EQ(known[0].stamp_ns, moved.source.stamp_ns);
+  EXPECT_EQ(known[2].id, 2) << "also where it was not found any more";
+  EXPECT_EQ(known[2].base.y(), 5411932.5);
+  EXPECT_EQ(known[2].stamp_ns, moved.source.stamp_ns - 7U);
+}
+
+TEST_F(Journal, WithoutAPathItIsATemporaryFile) {
+  PhenotypeJournal journal("", Access::kWrite);
+  journal.setFrameId("map");
+  journal.append(report(1U, 2));
+  std::int64_t position = 0;
+  EXPECT_EQ(journal.readAfter(position).size(), 1U);
+  PhenotypeJournal other("", Access::kWrite);
+  EXPECT_EQ(other.plants(), 0U);
+}
+
+/// All that is said of plants, as text.
+std::string textOf(const std::vector<Phenotype>& plants) {
+  std::ostringstream text;
+  for (const Phenotype& plant : plants) {
+    text << plant.id << " " << plant.passes << " " << plant.revision << " " << plant.height.value
+         << " " << plant.height.stddev << "\n";
+  }
+  return text.str();
+}
+
+TEST_F(Journal, WhatATableForgotItRecallsWhenItIsNeeded) {
+  // Blocks side by side that are passed again and again: plants on their borders change sides,
+  // vanish and come back.
+  for (unsigned seed = 1U; seed <= 10U; ++seed) {
+    PhenotypeJournal journal("", Access::kWrite);
+    PlantTable whole;
+    PlantTable recent;
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> unit(0.0, 1.0);
+    constexpr std::int32_t kBlocks = 6;
+    constexpr std::int32_t kPlantsPerBlock = 4;
+    std::uint64_t time = 1'000'000'000U;
+    for (int pass = 0; pass < 4; ++pass) {
+      const std::uint64_t began = time;
+      for (std::uint32_t k = 0U; k < 40U; ++k) {
+        PlantReport report;
+        const auto x = static_cast<std::int32_t>(unit(random) * kBlocks);
+        report.source.block = {x, 0};
+        report.source.began_ns = began;
+        report.source.stamp_ns = time += 1'000'000U;
+        report.source.revision = k;
+        // Its own, and the first of the next block.
+        for (std::int32_t id = kPlantsPerBlock * x; id <= kPlantsPerBlock * (x + 1); ++id) {
+          const bool on_border = id % kPlantsPerBlock == 0;
+          if (unit(random) < (on_border ? 0.5 : 0.2)) continue;
+          Phenotype plant;
+          plant.id = id;
+          plant.revision = k;
+          plant.height = {1.0 + unit(random), 0.01 + 0.01 * unit(random)};
+          report.plants.push_back(plant);
+        }
+        recallInto(recent, journal, report.source.block, report.plants);
+        const PlantTable::Change expected = whole.update(report.source, report.plants);
+        const PlantTable::Change change = recent.update(report.source, report.plants);
+        ASSERT_TRUE(change.accepted);
+        EXPECT_EQ(change.added, expected.added);
+        EXPECT_EQ(change.removed, expected.removed);
+        EXPECT_EQ(textOf(recent.plantsOf(report.source.block)),
+                  textOf(whole.plantsOf(report.source.block)))
+            << "seed " << seed << ", pass " << pass << ", report " << k;
+        journal.append(report);
+        if (unit(random) < 0.5) recent.keepOnly({report.source.block});
+      }
+      time += 1'000'000'000U;
+      recent.keepOnly({});
+      EXPECT_EQ(recent.size(), 0U);
+    }
   }
 }
 

@@ -120,15 +120,5 @@ TEST(PlantTable, ARunThatSeesTheSameScansAgainTakesBackWhatAKilledOneThought) {
   EXPECT_EQ(table.size(), 1U);
 }
 
-TEST(PlantTable, SaysWhichPlantsTheRegistryShouldKnow) {
-  PlantTable table;
-  table.update(source({0, 0}, 1U, 10U, 20U), {plant(7, 1.0)});
-  const auto known = table.known();
-  ASSERT_EQ(known.size(), 1U);
-  EXPECT_EQ(known[0].id, 7);
-  EXPECT_EQ(known[0].base.x(), 0.7000000000000001);
-  EXPECT_EQ(known[0].stamp_ns, 20U * kSecond);
-}
-
 }  // namespace
 }  // namespace field_phenotyping

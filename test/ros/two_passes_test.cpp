@@ -33,7 +33,7 @@ TEST(TwoPasses, GiveOnePlantEachAndKnowMore) {
                                  PhenotypeJournal::Access::kRead);
   EXPECT_EQ(journal.frameId(), "map");
   PlantTable table;
-  for (const JournalReport& report : journal.readAfter(position)) {
+  for (const PlantReport& report : journal.readAfter(position)) {
     table.update(report.source, report.plants);
   }
   EXPECT_EQ(table.size(), client.field().bases.size());

@@ -26,17 +26,25 @@ struct KnownPlant {
 /// Between two passes the SLAM may have moved the map. Bases of the same plants then differ all in
 /// the same way, so a block that begins a new pass is first laid over what is known of its place:
 /// by the displacement, up to kMostShift, that brings the most bases together. How plants stand in
-/// their rows tells it even where it is half of their spacing.
+/// their rows tells it even where it is half of their spacing. What was named before enough of them
+/// were seen gets its older id once they are.
 ///
 /// It also settles which block reports a plant. Two blocks that share a border both see the plants
 /// on it, and may place a base on either side; the first block to claim such a plant keeps it until
-/// it no longer finds it, so no plant is reported twice or lost. Thread-safe.
+/// it no longer finds it, so no plant is reported twice or lost. A claim holds among blocks that
+/// are seen at about the same time, kClaimHolds. Where two blocks have given one plant two ids, as
+/// they had placed it too far apart at first, one of them is given up once the places have come
+/// together.
+///
+/// Of each plant ever named it holds an id, a place and a time: about 40 bytes. Thread-safe.
 class PlantRegistry {
  public:
   /// A block may claim plants this far outside its tile [m].
   static constexpr double kBorderTolerance = 0.10;
   /// The map moves by at most this between two passes [m].
   static constexpr double kMostShift = 0.15;
+  /// What a block has claimed is free again so long after its newest scan [ns].
+  static constexpr std::uint64_t kClaimHolds = 600'000'000'000U;
 
   /// What became of a block's plants.
   struct Outcome {
@@ -60,15 +68,24 @@ class PlantRegistry {
 
  private:
   using Cell = std::pair<std::int64_t, std::int64_t>;
+  /// As small as may be: there is one of each plant of the day.
   struct Entry {
-    std::int32_t id = -1;
-    Eigen::Vector2d base = Eigen::Vector2d::Zero();  // in the map as it was at stamp_ns [m]
     std::uint64_t stamp_ns = 0U;
-    BlockIndex owner;
-    bool claimed = false;
+    Eigen::Vector2f offset = Eigen::Vector2f::Zero();  // of its base at stamp_ns, in its cell [m]
+    std::int32_t id = -1;
   };
-  using Entries = std::multimap<Cell, Entry>;
-  using Found = std::vector<Entries::iterator>;
+  struct Known {
+    Cell cell;  // where its entry is
+    std::int32_t id = -1;
+    std::uint64_t stamp_ns = 0U;
+    Eigen::Vector2d base = Eigen::Vector2d::Zero();  // in the map as it was at stamp_ns [m]
+  };
+  struct Claims {
+    std::uint64_t stamp_ns = 0U;
+    bool final = false;
+    std::vector<std::int32_t> ids;
+    std::set<std::int32_t> seen;  // those and the ones that other blocks have claimed
+  };
 
   struct FoundShift {
     Eigen::Vector2d shift;
@@ -83,18 +100,26 @@ class PlantRegistry {
     std::uint64_t stamp_ns = 0U;
   };
 
-  Found findNear(const std::vector<Eigen::Vector2d>& bases, double reach);
+  std::vector<Known> findNear(const std::vector<Eigen::Vector2d>& bases, double reach) const;
   std::optional<FoundShift> findShift(const std::vector<Eigen::Vector2d>& bases,
                                       const std::vector<Eigen::Vector2d>& earlier,
                                       std::uint64_t stamp_ns) const;
   ExpectedShift expectedShift(std::uint64_t stamp_ns) const;
-  void file(const Entry& entry);
-  void releaseClaims(const BlockIndex& block);
+  void file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns);
+  void takeOut(const Known& known);
+  void releaseClaims(const BlockHeader& header);
+  const Claims* claimsOn(std::int32_t id) const;
+  bool isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
+                        const std::vector<Known>& near, std::vector<bool>& given);
 
   const double match_radius_;
   mutable std::mutex mutex_;
-  Entries entries_;
-  std::map<BlockIndex, std::set<Cell>> claims_;  // where entries are that a block has claimed
+  std::map<Cell, std::vector<Entry>> entries_;
+  std::size_t size_ = 0U;  // of all of them
+  std::map<BlockIndex, Claims> claims_;
+  std::map<std::int32_t, BlockIndex> claimed_;  // the ids of all of those, and by whom
+  // Ids given near plants of an earlier pass before it was known how the map has moved, and when.
+  std::map<std::int32_t, std::uint64_t> in_doubt_;
   LastShift last_shift_;
   std::int32_t next_id_ = 0;
 };
