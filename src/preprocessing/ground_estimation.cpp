@@ -3,10 +3,10 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <array>
+#include <bitset>
 #include <cmath>
 #include <limits>
 #include <random>
-#include <set>
 #include <utility>
 
 #include "common/gpu_streams.hpp"
@@ -181,16 +181,19 @@ bool isExtended(const Plane& plane, const std::vector<Eigen::Vector3f>& candidat
          static_cast<double>(on_plane) >= min_coverage * static_cast<double>(candidates.size());
 }
 
-/// Number of small squares that the points on `plane` are seen in.
+/// Number of small squares that the points on `plane` are seen in: points round one node, which lie
+/// in fewer than kSide squares along each axis.
 std::size_t countPatches(const std::vector<Eigen::Vector3f>& nearby, const Plane& plane,
                          float patch) {
-  std::set<std::pair<int, int>> patches;
+  constexpr unsigned kSide = 16U;
+  std::bitset<kSide * kSide> seen;
+  const auto along = [patch](float coordinate) {
+    return static_cast<unsigned>(static_cast<int>(std::floor(coordinate / patch))) % kSide;
+  };
   for (const Eigen::Vector3f& p : nearby) {
-    if (std::abs(residualOf(plane, p)) > 0.025F) continue;
-    patches.emplace(static_cast<int>(std::floor(p.x() / patch)),
-                    static_cast<int>(std::floor(p.y() / patch)));
+    if (std::abs(residualOf(plane, p)) <= 0.025F) seen.set(along(p.x()) * kSide + along(p.y()));
   }
-  return patches.size();
+  return seen.count();
 }
 
 /// Soil round one node: the lower surface of the points near it, as a robust plane.
