@@ -58,19 +58,28 @@ class VoxelLabels {
 
   void setHeightDatum(double z) { map_.setHeightDatum(z); }
 
-  /// Plants reach into their neighbours' tiles; a block has the last word in its own.
-  void add(const SegmentedBlock& block) {
-    for (const Plant& plant : block.plants) {
-      if (!plant.owned) continue;
-      for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
-        const Part part = i < plant.stem.end ? Part::kStem : Part::kOther;
-        const Eigen::Vector3d p = block.cloud.mapPoint(i);
-        const BlockIndex tile = map_.tileAt(p.x(), p.y());
-        const auto [label, is_new] =
-            labels_[tile].tryEmplace(keyOf(p, tile), PointLabel{plant.id, part});
-        if (!is_new && tile == block.header.index) *label = {plant.id, part};
-      }
+  /// Plants reach into their neighbours' tiles; a block has the last word in its own, else the
+  /// first one has it.
+  void add(const std::vector<std::shared_ptr<SegmentedBlock>>& blocks) {
+    // What each block says, tile by tile; then what each tile hears, block by block.
+    std::vector<std::map<BlockIndex, std::vector<LabelledVoxel>>> said(blocks.size());
+    parallelFor(blocks.size(), [&](std::size_t b) { said[b] = labelsOf(*blocks[b]); });
+    for (const auto& of_block : said) {
+      for (const auto& of_tile : of_block) labels_[of_tile.first];
     }
+    std::vector<std::pair<BlockIndex, KeyMap<PointLabel>*>> tiles;
+    for (auto& [tile, labels] : labels_) tiles.emplace_back(tile, &labels);
+    parallelFor(tiles.size(), [&](std::size_t t) {
+      const auto& [tile, labels] = tiles[t];
+      for (std::size_t b = 0; b < blocks.size(); ++b) {
+        const auto found = said[b].find(tile);
+        if (found == said[b].end()) continue;
+        for (const LabelledVoxel& voxel : found->second) {
+          const auto [label, is_new] = labels->tryEmplace(voxel.key, voxel.label);
+          if (!is_new && tile == blocks[b]->header.index) *label = voxel.label;
+        }
+      }
+    });
   }
 
   PointLabel at(const Eigen::Vector3d& p) const {
@@ -85,6 +94,25 @@ class VoxelLabels {
   }
 
  private:
+  struct LabelledVoxel {
+    VoxelKey key;
+    PointLabel label;
+  };
+
+  std::map<BlockIndex, std::vector<LabelledVoxel>> labelsOf(const SegmentedBlock& block) const {
+    std::map<BlockIndex, std::vector<LabelledVoxel>> labels;
+    for (const Plant& plant : block.plants) {
+      if (!plant.owned) continue;
+      for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
+        const Part part = i < plant.stem.end ? Part::kStem : Part::kOther;
+        const Eigen::Vector3d p = block.cloud.mapPoint(i);
+        const BlockIndex tile = map_.tileAt(p.x(), p.y());
+        labels[tile].push_back({keyOf(p, tile), {plant.id, part}});
+      }
+    }
+    return labels;
+  }
+
   Eigen::Vector3f localOf(const Eigen::Vector3d& p, const BlockIndex& tile) const {
     return (p - map_.originOf(tile)).cast<float>();
   }
@@ -196,8 +224,8 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
 
   VoxelLabels voxel_labels(preprocessing, tiling.corner);
   if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
+  voxel_labels.add(segmented);
   for (std::size_t b = 0; b < due.size(); ++b) {
-    voxel_labels.add(*segmented[b]);
     result.plants.insert(result.plants.end(), measured[b].begin(), measured[b].end());
     if (has_soil[b] == 0U) ++result.blocks_without_soil;
   }
