@@ -340,11 +340,11 @@ def plants(bench, folder, shapes=None, repeats=None):
     return figures
 
 
-def points(bench, folder, counts=None, repeats=None):
+def points(bench, folder, counts=None, repeats=None, shape=None):
     """The same plants with ever more points."""
     counts = counts or (QUICK_POINTS if bench.quick else POINTS)
     repeats = repeats or _size(bench, None).repeats
-    rows_of, in_each = (QUICK_SHAPES if bench.quick else SHAPES)[1]
+    rows_of, in_each = shape or (QUICK_SHAPES if bench.quick else SHAPES)[1]
     _heading(
         'More points on the same plants',
         'A ripe field of {} plants, all cores, {}; memory as above. A voxel takes many points to '

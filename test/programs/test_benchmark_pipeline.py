@@ -52,7 +52,9 @@ class BenchmarkPipeline(ProgramTest):
         self.assertEqual(rows['8 x']['points'], 8 * rows['1 x']['points'])
         self.assertGreater(rows['8 x']['time_ratio'], 1.0)
         self.assertGreater(rows['8 x']['memory_ratio'], 1.0)
-        rows, _ = self.printed(pipeline_benchmark.points, counts=(5000, 20000), repeats=1)
+        rows, _ = self.printed(
+            pipeline_benchmark.points, counts=(5000, 20000), repeats=1, shape=(1, 2)
+        )
         self.assertEqual([row['points'] for row in rows.values()], [5000, 20000])
         rows, _ = self.printed(pipeline_benchmark.cores, size=FIELD, most=2)
         self.assertEqual(list(rows), ['1', '2'])
