@@ -41,6 +41,7 @@ POINTS_A_PLANT = STANDARD.points // (STANDARD.rows * STANDARD.plants_per_row)
 SHAPES = collections.OrderedDict([(1, (4, 15)), (2, (4, 30)), (4, (8, 30)), (8, (8, 60))])
 QUICK_SHAPES = collections.OrderedDict([(1, (1, 4)), (8, (2, 16))])
 POINTS = (100000, 1000000, 10000000)
+POINTS_SHAPE = (2, 10)  # few plants: the simulation of ten million points takes long
 QUICK_POINTS = (30000, 300000)
 
 # Arithmetic that cannot be left out, additions and multiplications.
@@ -337,6 +338,10 @@ def plants(bench, folder, shapes=None, repeats=None):
         'goal for 8 x, at most', columns, {'time_ratio': MOST_TIME, 'memory_ratio': MOST_MEMORY}
     )
     note_load()
+    from . import plots
+
+    path = _picture(folder, 'pipeline_plants.png', 'Seconds and memory by the size of the field')
+    plots.pipeline_scaling(path, figures, 'the field')
     return figures
 
 
@@ -344,7 +349,7 @@ def points(bench, folder, counts=None, repeats=None, shape=None):
     """The same plants with ever more points."""
     counts = counts or (QUICK_POINTS if bench.quick else POINTS)
     repeats = repeats or _size(bench, None).repeats
-    rows_of, in_each = shape or (QUICK_SHAPES if bench.quick else SHAPES)[1]
+    rows_of, in_each = shape or (QUICK_SHAPES[1] if bench.quick else POINTS_SHAPE)
     _heading(
         'More points on the same plants',
         'A ripe field of {} plants, all cores, {}; memory as above. A voxel takes many points to '
@@ -366,6 +371,10 @@ def points(bench, folder, counts=None, repeats=None, shape=None):
         figures[str(count)] = row
         print_row('{:,}'.format(count), columns, row)
     note_load()
+    from . import plots
+
+    path = _picture(folder, 'pipeline_points.png', 'Seconds and memory by the number of points')
+    plots.pipeline_scaling(path, figures, '')
     return figures
 
 
