@@ -502,7 +502,7 @@ def floors(bench, folder, size=None):
     _heading(
         'Floors',
         'What each stage cannot do without on the ripe field, one core, {}, beside how long the '
-        'machine as measured above\nwould take for it: bytes that must be read and written once, and '
+        'machine, measured just before,\nwould take for it: bytes that must be read and written once, and '
         'additions and multiplications. Counted from the\nscene:\n\n'
         '- voxel grid: every input point is read (12 bytes) and every voxel written (16); {} '
         'operations a point for its voxel\n  and that one\'s mean;\n'
@@ -563,7 +563,8 @@ def floors(bench, folder, size=None):
         print_row(stage, columns, row)
     print(
         '\n{:,} points in {:,} voxels, {:,} of them above the soil with {:.0f} neighbours each; {} '
-        'plants with {:,} stem points\nand {:,} filled ones.'.format(
+        'plants with {:,} stem points\nand {:,} filled ones. One core copied {:.1f} GB/s and did {:.1f} '
+        'billion operations a second.'.format(
             work['points'],
             work['voxels'],
             work['plant_points'],
@@ -571,6 +572,8 @@ def floors(bench, folder, size=None):
             work['plants'],
             work['stem_points'],
             work['filled_points'],
+            1e-9 * machine['bytes_per_second'],
+            1e-9 * machine['operations_per_second'],
         )
     )
     note_load()
