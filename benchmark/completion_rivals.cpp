@@ -1,9 +1,6 @@
 #include "completion_rivals.hpp"
 
-#include <pcl/filters/voxel_grid.h>
 #include <pcl/kdtree/kdtree_flann.h>
-#include <pcl/point_cloud.h>
-#include <pcl/point_types.h>
 #include <pcl/search/kdtree.h>
 #include <pcl/surface/mls.h>
 
@@ -26,11 +23,12 @@
 
 #include "field_phenotyping/completion/stem_frame.hpp"
 #include "field_phenotyping/completion/surface_index.hpp"
+#include "pcl_stages.hpp"
 
 namespace field_phenotyping::benchmark {
 namespace {
 
-using Cloud = pcl::PointCloud<pcl::PointXYZ>;
+using Cloud = PclPoints;
 
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kCoverage = 0.75;  // of the spacing: an empty place has no point nearer than that
@@ -42,12 +40,6 @@ class CpuClock {
  private:
   std::clock_t start_ = std::clock();
 };
-
-Cloud::Ptr toPcl(const std::vector<Eigen::Vector3f>& points) {
-  Cloud::Ptr cloud(new Cloud);
-  for (const Eigen::Vector3f& p : points) cloud->push_back({p.x(), p.y(), p.z()});
-  return cloud;
-}
 
 /// A stem about the axis that it is given with, and the places on it where nothing was measured.
 struct UnrolledStem {
@@ -181,17 +173,6 @@ FilledStem interpolateNaturally(const GappyStem& stem, double density) {
 }
 #endif
 
-/// Keeps one point a voxel.
-Cloud::Ptr thin(const Cloud::Ptr& cloud, double spacing) {
-  pcl::VoxelGrid<pcl::PointXYZ> grid;
-  const auto edge = static_cast<float>(spacing);
-  grid.setLeafSize(edge, edge, edge);
-  grid.setInputCloud(cloud);
-  Cloud::Ptr thinned(new Cloud);
-  grid.filter(*thinned);
-  return thinned;
-}
-
 struct MlsSettings {
   double search_radius;  // [m]
   double reach;          // [m] of a point's own plane, or of the dilation
@@ -235,7 +216,7 @@ FilledStem fitLocally(const GappyStem& stem, double density, const MlsSettings& 
       tree.nearestKSearch(p, 1, index, squared);
       if (squared[0] <= static_cast<float>(4.0 * reach * reach)) kept->push_back(p);
     }
-    const Cloud::Ptr thinned = thin(kept, spacing);
+    const Cloud::Ptr thinned = voxelGrid(kept, static_cast<float>(spacing));
     for (const pcl::PointXYZ& p : thinned->points) {
       tree.nearestKSearch(p, 1, index, squared);
       const bool is_new =

@@ -1,11 +1,7 @@
 // The clustering of the Point Cloud Library as a peer to compare with, see --help.
 
-#include <pcl/features/normal_3d_omp.h>
-#include <pcl/point_cloud.h>
-#include <pcl/point_types.h>
 #include <pcl/search/kdtree.h>
 #include <pcl/segmentation/extract_clusters.h>
-#include <pcl/segmentation/region_growing.h>
 
 #include <CLI/CLI.hpp>
 #include <Eigen/Eigenvalues>
@@ -30,18 +26,19 @@
 
 #include "cloud_files.hpp"
 #include "field_phenotyping/common/parallel.hpp"
-#include "field_phenotyping/preprocessing/preprocessor.hpp"
 #include "field_phenotyping/preprocessing/voxel_map.hpp"
+#include "pcl_stages.hpp"
 #include "phenotype_files.hpp"
 #include "point_file.hpp"
 #include "simulation/progress.hpp"
+#include "whole_cloud.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 using Clock = std::chrono::steady_clock;
-using Points = pcl::PointCloud<pcl::PointXYZ>;
-using Normals = pcl::PointCloud<pcl::Normal>;
+using Points = benchmark::PclPoints;
+using Normals = benchmark::PclNormals;
 using Indices = std::vector<int>;  // as PCL 1.10 and 1.13 both have them
 
 constexpr double kDegree = 3.14159265358979323846 / 180.0;  // [rad]
@@ -88,13 +85,8 @@ struct AboveGround {
 AboveGround removeGround(const CloudFile& input, const std::string& path) {
   const Field part = requireField(input.contents, "part", path);
   const Clock::time_point start = Clock::now();
-  PreprocessingParameters parameters;
-  parameters.min_range = 0.0;
-  parameters.max_range = std::numeric_limits<double>::infinity();
-  Preprocessor preprocessor(parameters, "map");
-  Scan scan;
-  scan.cloud = input.cloud;
-  preprocessor.addScan(scan, Eigen::Isometry3d::Identity());
+  const Preprocessor preprocessor = benchmark::accumulate(input.cloud);
+  const PreprocessingParameters& parameters = preprocessor.parameters();
 
   AboveGround above;
   VoxelMap map(parameters.block_size, parameters.voxel_size);
@@ -261,20 +253,6 @@ void judge(Result&& tried, const std::vector<Rule>& rules, const AboveGround& ab
   if (tried.f1 > best.f1) best = std::move(tried);
 }
 
-pcl::search::KdTree<pcl::PointXYZ>::Ptr newTree() {
-  return pcl::search::KdTree<pcl::PointXYZ>::Ptr(new pcl::search::KdTree<pcl::PointXYZ>);
-}
-
-Normals::Ptr estimateNormals(const Points::Ptr& points, int neighbours) {
-  pcl::NormalEstimationOMP<pcl::PointXYZ, pcl::Normal> estimation(1);  // one thread
-  estimation.setInputCloud(points);
-  estimation.setSearchMethod(newTree());
-  estimation.setKSearch(neighbours);
-  const Normals::Ptr normals(new Normals);
-  estimation.compute(*normals);
-  return normals;
-}
-
 using Progress = std::function<void(double)>;
 
 Result growRegions(const AboveGround& above, const Grid& grid, const std::vector<Rule>& rules,
@@ -285,23 +263,16 @@ Result growRegions(const AboveGround& above, const Grid& grid, const std::vector
   double done = 0.0;
   for (const int normal_neighbours : grid.normal_neighbours) {
     Clock::time_point start = Clock::now();
-    const Normals::Ptr normals = estimateNormals(above.points, normal_neighbours);
+    const Normals::Ptr normals = benchmark::estimateNormals(above.points, normal_neighbours, 1);
     const double normal_seconds = secondsSince(start);
     for (const int neighbours : grid.neighbours) {
       for (const double smoothness : grid.smoothness) {
         for (const double curvature : grid.curvature) {
           start = Clock::now();
-          pcl::RegionGrowing<pcl::PointXYZ, pcl::Normal> growing;
-          growing.setMinClusterSize(kMinClusterPoints);
-          growing.setMaxClusterSize(std::numeric_limits<int>::max());
-          growing.setSearchMethod(newTree());
-          growing.setNumberOfNeighbours(static_cast<unsigned>(neighbours));
-          growing.setInputCloud(above.points);
-          growing.setInputNormals(normals);
-          growing.setSmoothnessThreshold(static_cast<float>(smoothness * kDegree));
-          growing.setCurvatureThreshold(static_cast<float>(curvature));
           Result tried;
-          growing.extract(tried.clusters);
+          tried.clusters = benchmark::growRegions(
+              above.points, normals,
+              {kMinClusterPoints, neighbours, smoothness * kDegree, curvature});
           tried.normal_seconds = normal_seconds;
           tried.clustering_seconds = secondsSince(start);
           tried.settings = {{"normal_neighbours", normal_neighbours},
@@ -323,7 +294,7 @@ Result clusterByDistance(const AboveGround& above, const Grid& grid, const std::
   double done = 0.0;
   for (const double tolerance : grid.tolerance) {
     const Clock::time_point start = Clock::now();
-    const pcl::search::KdTree<pcl::PointXYZ>::Ptr tree = newTree();
+    const pcl::search::KdTree<pcl::PointXYZ>::Ptr tree(new pcl::search::KdTree<pcl::PointXYZ>);
     tree->setInputCloud(above.points);
     pcl::EuclideanClusterExtraction<pcl::PointXYZ> extraction;
     extraction.setClusterTolerance(tolerance);

@@ -5,7 +5,6 @@
 #include <sys/resource.h>
 
 #include <algorithm>
-#include <chrono>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -16,9 +15,8 @@
 #include <vector>
 
 #include "field_phenotyping/common/median.hpp"
-#include "field_phenotyping/common/parallel.hpp"
-#include "field_phenotyping/pipeline.hpp"
 #include "test_scene.hpp"
+#include "timed_runs.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -113,33 +111,16 @@ Scores scoresOf(const PipelineResult& result, const Field& field) {
   return scores;
 }
 
-/// One way to run the pipeline.
-struct Setting {
-  std::string name;
-  int threads;  // 0: all cores
-  ComputeDevice device;
-};
-
 struct Options {
   int plants_in_row = 29;
   int repeats = 3;
   unsigned seed = 1U;
 };
 
-double timeOf(const Field& field, const Setting& setting, PipelineResult& result) {
-  const ThreadLimit limit(setting.threads);
-  const auto begin = std::chrono::steady_clock::now();
-  result = phenotypeCloud(field.scene.cloud, Parameters(), {}, setting.device);
-  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
-
 void printTable(const Options& options) {
-  std::vector<Setting> settings = {{"one core", 1, {}}, {"all cores", 0, {}}};
   const ComputeDevice gpu = ComputeDevice::choose("auto");
-  if (gpu.hasGpu()) {
-    settings.push_back({gpu.use().device + ", one core", 1, gpu});
-    settings.push_back({gpu.use().device + ", all cores", 0, gpu});
-  } else {
+  const std::vector<benchmark::PipelineSetting> settings = benchmark::pipelineSettings(gpu);
+  if (!gpu.hasGpu()) {
     std::printf("NOT RUN, the GPU: %s\n\n", gpu.use().why_cpu.c_str());
   }
   std::printf(
@@ -151,26 +132,21 @@ void printTable(const Options& options) {
       "|---|---|---|---|---|---|---|---|---|\n");
   for (const GrowthStage& stage : kStages) {
     const Field field = makeField(stage, options.plants_in_row, options.seed);
-    std::vector<std::vector<double>> seconds(settings.size());
     std::vector<PipelineResult> results(settings.size());
-    for (int repeat = -1; repeat < options.repeats; ++repeat) {
-      for (std::size_t s = 0; s < settings.size(); ++s) {
-        const double took = timeOf(field, settings[s], results[s]);
-        if (repeat >= 0) seconds[s].push_back(took);
-      }
+    std::vector<benchmark::TimedTask> tasks;
+    for (std::size_t s = 0; s < settings.size(); ++s) {
+      tasks.emplace_back(
+          [&, s] { return benchmark::timePipeline(field.scene.cloud, settings[s], results[s]); });
     }
+    const std::vector<std::vector<double>> seconds = benchmark::timeInTurn(tasks, options.repeats);
     const double serial = medianOf(seconds[0]);
     for (std::size_t s = 0; s < settings.size(); ++s) {
-      bool same = results[s].plants.size() == results[0].plants.size();
-      for (std::size_t k = 0; same && k < results[s].plants.size(); ++k) {
-        same = results[s].plants[k].base == results[0].plants[k].base;
-      }
       const Scores scores = scoresOf(results[s], field);
       const double median = medianOf(seconds[s]);
       std::printf("| %s | %zu | %s | %.2f | %.2f | %.3f | %.1f | %.2f | %s |\n", stage.name,
                   field.scene.cloud.size(), settings[s].name.c_str(), median, serial / median,
                   scores.recall, 100.0 * scores.height_rmse, 1000.0 * scores.diameter_rmse,
-                  same ? "the same" : "NOT THE SAME");
+                  benchmark::samePlants(results[s], results[0]) ? "the same" : "NOT THE SAME");
       std::fflush(stdout);
       for (const StageTime& time : results[s].times) {
         if (time.use.fallbacks == 0U) continue;

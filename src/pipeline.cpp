@@ -58,30 +58,31 @@ class VoxelLabels {
 
   void setHeightDatum(double z) { map_.setHeightDatum(z); }
 
-  /// Plants reach into their neighbours' tiles; a block has the last word in its own.
-  void addAll(const std::vector<std::shared_ptr<SegmentedBlock>>& blocks) {
-    std::vector<std::map<BlockIndex, std::vector<Labelled>>> by_block(blocks.size());
-    parallelFor(blocks.size(), [&](std::size_t b) { by_block[b] = labelled(*blocks[b]); });
-    for (const auto& tiles : by_block) {
-      for (const auto& tile : tiles) labels_[tile.first];
+  /// Plants reach into their neighbours' tiles; a block has the last word in its own, else the
+  /// first one has it.
+  void add(const std::vector<std::shared_ptr<SegmentedBlock>>& blocks) {
+    // What each block says, tile by tile; then what each tile hears, block by block.
+    std::vector<std::map<BlockIndex, std::vector<LabelledVoxel>>> said(blocks.size());
+    parallelFor(blocks.size(), [&](std::size_t b) { said[b] = labelsOf(*blocks[b]); });
+    for (const auto& of_block : said) {
+      for (const auto& of_tile : of_block) labels_[of_tile.first];
     }
-    std::vector<std::pair<const BlockIndex, KeyMap<PointLabel>>*> tiles;
-    for (auto& tile : labels_) tiles.push_back(&tile);
+    std::vector<std::pair<BlockIndex, KeyMap<PointLabel>*>> tiles;
+    for (auto& [tile, labels] : labels_) tiles.emplace_back(tile, &labels);
     parallelFor(tiles.size(), [&](std::size_t t) {
-      auto& [tile, labels] = *tiles[t];
+      const auto& [tile, labels] = tiles[t];
       std::size_t most = 0U;
-      for (const auto& by_tile : by_block) {
-        const auto found = by_tile.find(tile);
-        if (found != by_tile.end()) most += found->second.size();
+      for (const auto& of_block : said) {
+        const auto found = of_block.find(tile);
+        if (found != of_block.end()) most += found->second.size();
       }
-      labels.reserve(most);
+      labels->reserve(most);
       for (std::size_t b = 0; b < blocks.size(); ++b) {
-        const auto found = by_block[b].find(tile);
-        if (found == by_block[b].end()) continue;
-        const bool is_own = tile == blocks[b]->header.index;
-        for (const Labelled& voxel : found->second) {
-          const auto [label, is_new] = labels.tryEmplace(voxel.key, voxel.label);
-          if (!is_new && is_own) *label = voxel.label;
+        const auto found = said[b].find(tile);
+        if (found == said[b].end()) continue;
+        for (const LabelledVoxel& voxel : found->second) {
+          const auto [label, is_new] = labels->tryEmplace(voxel.key, voxel.label);
+          if (!is_new && tile == blocks[b]->header.index) *label = voxel.label;
         }
       }
     });
@@ -99,24 +100,23 @@ class VoxelLabels {
   }
 
  private:
-  struct Labelled {
+  struct LabelledVoxel {
     VoxelKey key;
     PointLabel label;
   };
 
-  /// The voxels of a block's own plants, by tile.
-  std::map<BlockIndex, std::vector<Labelled>> labelled(const SegmentedBlock& block) const {
-    std::map<BlockIndex, std::vector<Labelled>> voxels;
+  std::map<BlockIndex, std::vector<LabelledVoxel>> labelsOf(const SegmentedBlock& block) const {
+    std::map<BlockIndex, std::vector<LabelledVoxel>> labels;
     for (const Plant& plant : block.plants) {
       if (!plant.owned) continue;
       for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
         const Part part = i < plant.stem.end ? Part::kStem : Part::kOther;
         const Eigen::Vector3d p = block.cloud.mapPoint(i);
         const BlockIndex tile = map_.tileAt(p.x(), p.y());
-        voxels[tile].push_back({keyOf(p, tile), {plant.id, part}});
+        labels[tile].push_back({keyOf(p, tile), {plant.id, part}});
       }
     }
-    return voxels;
+    return labels;
   }
 
   Eigen::Vector3f localOf(const Eigen::Vector3d& p, const BlockIndex& tile) const {
@@ -231,7 +231,7 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
 
   VoxelLabels voxel_labels(preprocessing, tiling.corner);
   if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
-  voxel_labels.addAll(segmented);
+  voxel_labels.add(segmented);
   for (std::size_t b = 0; b < due.size(); ++b) {
     result.plants.insert(result.plants.end(), measured[b].begin(), measured[b].end());
     if (has_soil[b] == 0U) ++result.blocks_without_soil;

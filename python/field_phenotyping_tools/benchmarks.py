@@ -1,8 +1,12 @@
 """What the benchmark programs share: fields, runs of the programs, and tables of their figures."""
 
 import argparse
+import collections
+import contextlib
+import io
 import json
 import os
+import re
 import shutil
 import signal
 import socket
@@ -40,10 +44,12 @@ class Bench:
     says. What is done goes to standard error with the seconds since the start.
     """
 
-    def __init__(self, seed=1):
+    def __init__(self, seed=1, quick=False):
         self.seed = seed
+        self.quick = quick  # small fields and few runs, for a look
         self._begin = time.time()
         self._count = 0
+        self._known_fields = {}
 
     def __enter__(self):
         self._folder = tempfile.mkdtemp(prefix='field_phenotyping_benchmark_')
@@ -59,11 +65,46 @@ class Bench:
         """Runs a program of this package; raises InputError with what it said if it fails."""
         program = os.environ.get(name.upper())
         command = [program] if program else ['rosrun', 'field_phenotyping', name]
-        command += [str(argument) for argument in arguments]
+        self._run(command + [str(argument) for argument in arguments])
+
+    def json_rows(self, name, *arguments):
+        """What a program of this package writes to the JSON file that its --output names."""
+        path = self._new_folder('rows') + '.json'
+        self.run(name, *arguments, '--output', path)
+        with open(path) as file:
+            return json.load(file)
+
+    def count_instructions(self, cloud, *settings):
+        """{function: instructions, with what it calls} of a run of phenotype_cloud on one thread.
+
+        By callgrind; functions are named without their parameters.
+        """
+        program = os.environ.get('PHENOTYPE_CLOUD') or self._output(
+            'catkin_find', '--first-only', '--libexec', 'field_phenotyping', 'phenotype_cloud'
+        )
+        counts = self._new_folder('callgrind')
+        self._run(
+            ['valgrind', '--tool=callgrind', '--callgrind-out-file=' + counts, program.strip()]
+            + [cloud, '--output', self._new_folder('run'), '--threads', '1', '--device', 'cpu']
+            + list(settings)
+        )
+        table = self._output(
+            'callgrind_annotate', '--inclusive=yes', '--threshold=100', '--auto=no', counts
+        )
+        functions = re.findall(r'^\s*([\d,]+) .*?:(field_phenotyping::[\w:]+)\(', table, re.MULTILINE)
+        instructions = {}
+        for count, name in functions:  # most first: lambdas inside a function come after it
+            instructions.setdefault(name, int(count.replace(',', '')))
+        return instructions
+
+    def _output(self, *command):
+        return self._run(list(command), stdout=subprocess.PIPE).stdout
+
+    def _run(self, command, stdout=subprocess.DEVNULL):
         try:
             done = subprocess.run(
                 command,
-                stdout=subprocess.DEVNULL,
+                stdout=stdout,
                 stderr=subprocess.PIPE,
                 universal_newlines=True,
             )
@@ -75,6 +116,7 @@ class Bench:
             )
         if done.returncode != 0:
             raise InputError('{} failed:\n{}'.format(' '.join(command), done.stderr.strip()))
+        return done
 
     def simulate(self, *settings):
         """Folder of a new simulated field, of the bench's seed if the settings give none."""
@@ -82,6 +124,12 @@ class Bench:
         seed = [] if '--seed' in settings else ['--seed', self.seed]
         self.run('simulate_field', '--no-bag', '--output', field, *seed, *settings)
         return field
+
+    def known_field(self, *settings):
+        """The same, simulated when these settings are first asked for."""
+        if settings not in self._known_fields:
+            self._known_fields[settings] = self.simulate(*settings)
+        return self._known_fields[settings]
 
     def drive(self, *settings):
         """Folder of a new simulated field with the bag of the drive through it."""
@@ -271,12 +319,35 @@ def _default_data():
     return os.path.join(package, '..', '..', '..', 'shared', 'data')
 
 
-def main(program, description, tables, pictures, figures, duration):
+class Report(collections.namedtuple('Report', 'preface closing')):
+    """What a benchmark prints round its tables, so that all of it can be kept as a document.
+
+    preface(bench) comes before the tables, closing(figures of all tables) after them.
+    """
+
+
+class _Tee:
+    """A stream that also keeps what is written to it."""
+
+    def __init__(self, stream):
+        self.kept = io.StringIO()
+        self._stream = stream
+
+    def write(self, text):
+        self.kept.write(text)
+        return self._stream.write(text)
+
+    def flush(self):
+        self._stream.flush()
+
+
+def main(program, description, tables, pictures, figures, duration, report=None):
     """Command line of a benchmark program: prints some of its tables, or all. Returns its status.
 
     tables: {name: function of a Bench and the folder for pictures that returns figures}
     pictures, figures: names of the files that are written
     duration: in words, of all tables
+    report: a Report; the program then has --quick and --report
     """
     parser = argparse.ArgumentParser(
         prog=program,
@@ -297,12 +368,24 @@ def main(program, description, tables, pictures, figures, duration):
         default=os.path.join('build', 'benchmark'),
         help='folder for {} and {} [m, rad, s] (default build/benchmark)'.format(pictures, figures),
     )
+    if report:
+        parser.add_argument(
+            '--quick', action='store_true', help='small fields and one run of each, for a look'
+        )
+        parser.add_argument(
+            '--report',
+            metavar='FILE',
+            help='also keep what is printed as this Markdown file, with the pictures beside it',
+        )
     options = parser.parse_args()
     for name in options.tables:
         if name not in tables:
             parser.error('no table {}; there are {}'.format(name, ', '.join(tables)))
     try:
-        _run(options, tables, figures)
+        if report:
+            _run_report(options, tables, figures, report)
+        else:
+            _run(options, tables, figures)
     except InputError as error:
         print('{}: error: {}'.format(program, error), file=sys.stderr)
         return 2
@@ -319,12 +402,35 @@ def main(program, description, tables, pictures, figures, duration):
 
 def _run(options, tables, figures_name):
     os.makedirs(options.output, exist_ok=True)
-    figures = {}
     with Bench(options.seed) as bench:
-        for name in options.tables or tables:
-            figures[name] = tables[name](bench, options.output)
-        bench.progress('done')
-    path = os.path.join(options.output, figures_name)
+        figures = _run_tables(bench, options, tables, options.output)
+    _write_figures(options, figures_name, figures)
+
+
+def _run_report(options, tables, figures_name, report):
+    os.makedirs(options.output, exist_ok=True)
+    folder = os.path.dirname(options.report) or '.' if options.report else options.output
+    os.makedirs(folder, exist_ok=True)
+    with Bench(options.seed, options.quick) as bench:
+        said = _Tee(sys.stdout)
+        with contextlib.redirect_stdout(said):
+            report.preface(bench)
+            figures = _run_tables(bench, options, tables, folder)
+            report.closing(figures)
+    if options.report:
+        with open(options.report, 'w') as file:
+            file.write(said.kept.getvalue().strip() + '\n')
+    _write_figures(options, figures_name, figures)
+
+
+def _run_tables(bench, options, tables, folder):
+    figures = {name: tables[name](bench, folder) for name in options.tables or tables}
+    bench.progress('done')
+    return figures
+
+
+def _write_figures(options, name, figures):
+    path = os.path.join(options.output, name)
     with open(path, 'w') as file:
         json.dump(figures, file, indent=1)
     print('\nWrote {}'.format(path))

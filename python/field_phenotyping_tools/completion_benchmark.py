@@ -4,10 +4,8 @@ Each takes a Bench and a folder for pictures, prints itself row by row and retur
 """
 
 import collections
-import json
 import math
 import os
-import tempfile
 
 from .benchmarks import figure, note_load, print_header, print_row, real_data
 
@@ -73,11 +71,7 @@ def _mean(values):
 
 def complete(bench, *settings):
     """Rows of a run of complete_stems."""
-    with tempfile.TemporaryDirectory(prefix='field_phenotyping_benchmark_') as folder:
-        path = os.path.join(folder, 'rows.json')
-        bench.run('complete_stems', '--output', path, '--seed', bench.seed, *settings)
-        with open(path) as file:
-            return json.load(file)
+    return bench.json_rows('complete_stems', '--seed', bench.seed, *settings)
 
 
 def by_damage(rows, method):

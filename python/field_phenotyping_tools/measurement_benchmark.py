@@ -5,9 +5,7 @@ Each takes a Bench and a folder for pictures, prints itself row by row and retur
 
 import collections
 import csv
-import json
 import os
-import tempfile
 
 import numpy as np
 
@@ -44,11 +42,7 @@ _TAKE_CARE = ('poor_fit', 'prior_driven')  # flags of diameters that the README 
 
 def measure(bench, command, *settings):
     """Rows of a run of measure_stems."""
-    with tempfile.TemporaryDirectory(prefix='field_phenotyping_benchmark_') as folder:
-        path = os.path.join(folder, 'rows.json')
-        bench.run('measure_stems', command, '--output', path, '--seed', bench.seed, *settings)
-        with open(path) as file:
-            return json.load(file)
+    return bench.json_rows('measure_stems', command, '--seed', bench.seed, *settings)
 
 
 def numbers(rows, *keys):

@@ -292,6 +292,80 @@ def diameter_scatter(path, fields):
     _save(figure, path)
 
 
+def pipeline_stages(path, figures):
+    """Seconds of the stages, added up over the blocks, by growth stage and device.
+
+    figures: {label: figures of pipeline_benchmark.stages()}
+    """
+    figure, axes = plt.subplots(figsize=(8.0, 4.2), constrained_layout=True)
+    places = np.arange(len(figures))
+    left = np.zeros(len(figures))
+    for stage, color in zip(
+        ('preprocessing', 'segmentation', 'completion', 'measurement'),
+        ('tab:brown', 'tab:green', 'tab:red', 'tab:blue'),
+    ):
+        seconds = np.array([row['stages_s'][stage] for row in figures.values()])
+        axes.barh(places, seconds, 0.7, left=left, color=color, alpha=0.8, label=stage)
+        left = left + seconds
+    axes.plot([row['median_s'] for row in figures.values()], places, 'k|', ms=16, label='wall time')
+    axes.set_yticks(places)
+    axes.set_yticklabels(list(figures), fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlabel('seconds of all blocks together [s]')
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3, axis='x')
+    _save(figure, path)
+
+
+def pipeline_rivals(path, figures):
+    """How many times as long as ours the Point Cloud Library takes, stage by stage.
+
+    figures: {label: figures of pipeline_benchmark.compare_stages()}
+    """
+    figure, axes = plt.subplots(figsize=(8.0, 3.2), constrained_layout=True)
+    rows = {label: row for label, row in figures.items() if row['method'].startswith('pcl::')}
+    places = np.arange(len(rows))
+    axes.barh(places, [row['ratio'] for row in rows.values()], 0.7, color='0.6')
+    axes.axvline(1.0, color='tab:green', linewidth=2, label='ours')
+    axes.legend(fontsize=8)
+    axes.set_xscale('log')
+    axes.set_yticks(places)
+    axes.set_yticklabels(list(rows), fontsize=7)
+    axes.invert_yaxis()
+    axes.set_xlabel('times as long as our stage [-]')
+    axes.grid(alpha=0.3, axis='x', which='both')
+    _save(figure, path)
+
+
+def pipeline_scaling(path, figures, unit):
+    """Seconds and memory by the number of points, beside what grows in proportion.
+
+    figures: {label: figures of pipeline_benchmark.plants() or points()}; unit: of the labels
+    """
+    figure, panels = plt.subplots(1, 2, figsize=(8.0, 3.4), constrained_layout=True)
+    points = np.array([row['points'] for row in figures.values()], float)
+    for axes, name, scale, label in (
+        (panels[0], 'median_s', 1.0, 'seconds [s]'),
+        (panels[1], 'bytes', 1e-6, 'most memory [MB]'),
+    ):
+        values = scale * np.array([row[name] for row in figures.values()])
+        axes.loglog(points, values[0] * points / points[0], '--', color='0.5', label='in proportion')
+        axes.loglog(points, values, 'o-', color='tab:green', label='measured')
+        for at, value, text in zip(points, values, figures):
+            axes.annotate(
+                '{} {}'.format(text, unit).strip(),
+                (at, value),
+                textcoords='offset points',
+                xytext=(4, -11),
+                fontsize=7,
+            )
+        axes.set_xlabel('points [-]')
+        axes.set_ylabel(label)
+        axes.legend(fontsize=8)
+        axes.grid(alpha=0.3, which='both')
+    _save(figure, path)
+
+
 def _values(rows, trait):
     matched = [row for row in rows if row['status'] == _MATCHED]
     return [

@@ -3,10 +3,10 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <array>
+#include <bitset>
 #include <cmath>
 #include <limits>
 #include <random>
-#include <set>
 #include <utility>
 
 #include "common/gpu_streams.hpp"
@@ -49,18 +49,17 @@ std::vector<Eigen::Vector3f> lowestPoints(const PointCloud& cloud, const Extent&
       static_cast<std::size_t>((extent.high.x() - extent.low.x()) / kCandidateCell) + 1U;
   const auto rows =
       static_cast<std::size_t>((extent.high.y() - extent.low.y()) / kCandidateCell) + 1U;
-  constexpr auto kNone = std::numeric_limits<std::uint32_t>::max();
-  std::vector<std::uint32_t> lowest(columns * rows, kNone);
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    const Eigen::Vector3f& p = cloud.points[i];
+  constexpr float kNone = std::numeric_limits<float>::infinity();
+  std::vector<Eigen::Vector3f> lowest(columns * rows, Eigen::Vector3f::Constant(kNone));
+  for (const Eigen::Vector3f& p : cloud.points) {
     const auto column = static_cast<std::size_t>((p.x() - extent.low.x()) / kCandidateCell);
     const auto row = static_cast<std::size_t>((p.y() - extent.low.y()) / kCandidateCell);
-    std::uint32_t& entry = lowest[row * columns + column];
-    if (entry == kNone || p.z() < cloud.points[entry].z()) entry = static_cast<std::uint32_t>(i);
+    Eigen::Vector3f& entry = lowest[row * columns + column];
+    if (p.z() < entry.z()) entry = p;
   }
   std::vector<Eigen::Vector3f> candidates;
-  for (const std::uint32_t i : lowest) {
-    if (i != kNone) candidates.push_back(cloud.points[i]);
+  for (const Eigen::Vector3f& p : lowest) {
+    if (p.z() < kNone) candidates.push_back(p);
   }
   return candidates;
 }
@@ -98,17 +97,27 @@ std::vector<int> scorePlanes(const std::vector<Plane>& planes,
 /// few.
 Plane refine(const Plane& plane, const std::vector<Eigen::Vector3f>& points, float tolerance,
              float max_slope) {
-  Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
-  Eigen::Vector3d right = Eigen::Vector3d::Zero();
+  // The sums of the normal equations, whose rows are (x, y, 1) and z.
+  double xx = 0.0, xy = 0.0, yy = 0.0, sum_x = 0.0, sum_y = 0.0;
+  double xz = 0.0, yz = 0.0, sum_z = 0.0;
   int count = 0;
   for (const Eigen::Vector3f& p : points) {
     if (std::abs(residualOf(plane, p)) > tolerance) continue;
-    const Eigen::Vector3d row(p.x(), p.y(), 1.0);
-    normal += row * row.transpose();
-    right += row * static_cast<double>(p.z());
+    const Eigen::Vector3d at = p.cast<double>();
+    xx += at.x() * at.x();
+    xy += at.x() * at.y();
+    yy += at.y() * at.y();
+    sum_x += at.x();
+    sum_y += at.y();
+    xz += at.x() * at.z();
+    yz += at.y() * at.z();
+    sum_z += at.z();
     ++count;
   }
   if (count < kMinNodePoints) return plane;
+  Eigen::Matrix3d normal;
+  normal << xx, xy, sum_x, xy, yy, sum_y, sum_x, sum_y, count;
+  const Eigen::Vector3d right(xz, yz, sum_z);
   // A whisper of regularisation keeps the slope where it was when all points lie on one line.
   const Eigen::Vector3d previous(plane.a, plane.b, plane.c);
   const Eigen::Matrix3d damping = 1e-3 * Eigen::Vector3d(1.0, 1.0, 1e-3).asDiagonal();
@@ -163,8 +172,8 @@ bool liesLowest(const Plane& plane, const PointCloud& cloud, float tolerance) {
   std::size_t below = 0U;
   for (const Eigen::Vector3f& p : cloud.points) {
     const float residual = residualOf(plane, p);
-    if (std::abs(residual) <= tolerance) ++near;
-    if (residual < -tolerance) ++below;
+    near += std::abs(residual) <= tolerance ? 1U : 0U;
+    below += residual < -tolerance ? 1U : 0U;
   }
   constexpr double kMostBelow = 0.05;  // of the points on the plane
   return static_cast<double>(below) <= kMostBelow * static_cast<double>(near);
@@ -181,16 +190,19 @@ bool isExtended(const Plane& plane, const std::vector<Eigen::Vector3f>& candidat
          static_cast<double>(on_plane) >= min_coverage * static_cast<double>(candidates.size());
 }
 
-/// Number of small squares that the points on `plane` are seen in.
+/// Number of small squares that the points on `plane` are seen in: points round one node, which lie
+/// in fewer than kSide squares along each axis.
 std::size_t countPatches(const std::vector<Eigen::Vector3f>& nearby, const Plane& plane,
                          float patch) {
-  std::set<std::pair<int, int>> patches;
+  constexpr unsigned kSide = 16U;
+  std::bitset<kSide * kSide> seen;
+  const auto along = [patch](float coordinate) {
+    return static_cast<unsigned>(static_cast<int>(std::floor(coordinate / patch))) % kSide;
+  };
   for (const Eigen::Vector3f& p : nearby) {
-    if (std::abs(residualOf(plane, p)) > 0.025F) continue;
-    patches.emplace(static_cast<int>(std::floor(p.x() / patch)),
-                    static_cast<int>(std::floor(p.y() / patch)));
+    if (std::abs(residualOf(plane, p)) <= 0.025F) seen.set(along(p.x()) * kSide + along(p.y()));
   }
-  return patches.size();
+  return seen.count();
 }
 
 /// Soil round one node: the lower surface of the points near it, as a robust plane.
@@ -334,15 +346,16 @@ std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundMo
   if (!ground.observed()) return is_ground;
   // 1. What lies lower than clods and the model's own error reach is soil...
   constexpr float kUsualRoughness = 0.008F;  // [m] at least, of soil that looks smooth here
+  constexpr float kFoot = 0.05F;             // [m] of what stands there, above the soil's points
   const auto most = static_cast<float>(parameters.ground_distance);
   std::vector<Eigen::Vector3f> feet;     // of what stands on it, seen from above
   std::vector<std::uint32_t> uncertain;  // soil, unless it is such a foot too
   for (std::size_t i = 0; i < cloud.size(); ++i) {
     const Eigen::Vector3f& p = cloud.points[i];
-    const float roughness = ground.stddevAt(p.x(), p.y());
     const float height = ground.heightAbove(p);
+    if (height >= most + kFoot) continue;  // as most points
+    const float roughness = ground.stddevAt(p.x(), p.y());
     const float highest = std::min(most, 3.0F * std::max(roughness, kUsualRoughness));
-    constexpr float kFoot = 0.05F;     // [m] of what stands there, above the soil's points
     constexpr float kSureSoil = 2.5F;  // standard deviations
     if (height > highest) {
       if (height < highest + kFoot) feet.emplace_back(p.x(), p.y(), 0.0F);

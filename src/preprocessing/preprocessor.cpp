@@ -39,8 +39,18 @@ struct ReachedTile {
   TileState* state = nullptr;
   VoxelTile* tile = nullptr;
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();
-  std::set<BlockIndex> touched;          // blocks that these points have touched
-  std::vector<Eigen::Vector3f> waiting;  // points to be inserted together, from the origin [m]
+  std::set<BlockIndex> touched;  // blocks that these points have touched
+};
+
+/// Some points of a whole cloud, by tile.
+struct PlacedPoints {
+  struct InTile {
+    std::vector<Eigen::Vector3f> points;  // from the tile's origin [m]
+    std::vector<BlockIndex> around;       // other blocks in whose margins any of them lies
+  };
+  std::map<BlockIndex, InTile> tiles;
+  ScanReport report;
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();  // of those that were placed [m]
 };
 
 PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std::uint8_t wanted) {
@@ -150,8 +160,17 @@ struct Preprocessor::Impl {
   std::optional<InTile> locate(const Eigen::Vector3d& p);
   void insert(const InTile& point, bool with_color, std::uint32_t color,
               const std::optional<Eigen::Vector3d>& sensor);
-  void insertWaiting(const ComputeDevice& device);
+  void addOneByOne(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                   const std::optional<Eigen::Vector3d>& sensor, ScanReport& report);
+  PlacedPoints place(const Scan& scan, const Eigen::Isometry3d& T_map_sensor, std::size_t begin,
+                     std::size_t end) const;
+  void addWhole(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                const ComputeDevice& device, ScanReport& report);
+  void touch(TileState& state) const;
   void touchBlocksAround(ReachedTile& reached, const Eigen::Vector3f& local);
+  template <class Visit>
+  void forEachBlockAround(const BlockIndex& index, const Eigen::Vector3f& local,
+                          Visit&& visit) const;
   void chooseEvictions();
   bool isFinal(const TileState& state) const;
   bool mayForget(const BlockIndex& index, const TileState& state) const;
@@ -184,17 +203,19 @@ ReachedTile& Preprocessor::Impl::reach(const BlockIndex& index) {
   return *last_reached;
 }
 
-/// Every block whose tile or margin holds the point has changed.
-void Preprocessor::Impl::touchBlocksAround(ReachedTile& reached, const Eigen::Vector3f& local) {
+void Preprocessor::Impl::touch(TileState& state) const {
+  state.touched_ns = newest_ns;
+  state.dirty = true;
+  state.final = false;
+}
+
+/// Calls visit(block) for each other block whose margin holds a point of tile `index`.
+template <class Visit>
+void Preprocessor::Impl::forEachBlockAround(const BlockIndex& index, const Eigen::Vector3f& local,
+                                            Visit&& visit) const {
   const auto half = static_cast<float>(0.5 * parameters.block_size);
   const auto size = static_cast<float>(parameters.block_size);
   const auto margin = static_cast<float>(parameters.block_margin);
-  const auto touch = [this](TileState& state) {
-    state.touched_ns = newest_ns;
-    state.dirty = true;
-    state.final = false;
-  };
-  touch(*reached.state);
   const bool inside = local.cwiseAbs().head<2>().maxCoeff() < half - margin;
   if (inside) return;
   const int rings = static_cast<int>(std::ceil(parameters.block_margin / parameters.block_size));
@@ -203,14 +224,21 @@ void Preprocessor::Impl::touchBlocksAround(ReachedTile& reached, const Eigen::Ve
       const float away_x = std::abs(local.x() - static_cast<float>(dx) * size) - half;
       const float away_y = std::abs(local.y() - static_cast<float>(dy) * size) - half;
       if (away_x > margin || away_y > margin) continue;
-      const BlockIndex neighbor{reached.index.x + dx, reached.index.y + dy};
-      if (reached.touched.count(neighbor) > 0U) continue;
-      const auto found = states.find(neighbor);
-      if (found == states.end()) continue;
-      touch(found->second);
-      reached.touched.insert(neighbor);
+      visit(BlockIndex{index.x + dx, index.y + dy});
     }
   }
+}
+
+/// Every block whose tile or margin holds the point has changed.
+void Preprocessor::Impl::touchBlocksAround(ReachedTile& reached, const Eigen::Vector3f& local) {
+  touch(*reached.state);
+  forEachBlockAround(reached.index, local, [&](const BlockIndex& neighbor) {
+    if (reached.touched.count(neighbor) > 0U) return;
+    const auto found = states.find(neighbor);
+    if (found == states.end()) return;
+    touch(found->second);
+    reached.touched.insert(neighbor);
+  });
 }
 
 /// The datum is the median height of the first scan, so that no stray return can set it.
@@ -263,24 +291,109 @@ void Preprocessor::Impl::insert(const InTile& point, bool with_color, std::uint3
   ++voxel_count;
 }
 
-/// All points that wait, tile by tile.
-void Preprocessor::Impl::insertWaiting(const ComputeDevice& device) {
-  std::vector<ReachedTile*> work;
-  for (auto& [index, reached] : reached_tiles) {
-    if (!reached.waiting.empty()) work.push_back(&reached);
+void Preprocessor::Impl::addOneByOne(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                                     const std::optional<Eigen::Vector3d>& sensor,
+                                     ScanReport& report) {
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  for (std::size_t i = 0; i < scan.cloud.size(); ++i) {
+    if (!scan.cloud.points[i].allFinite()) {
+      ++report.non_finite;
+      continue;
+    }
+    const Eigen::Vector3d from_sensor = scan.cloud.mapPoint(i);
+    const Eigen::Vector3d p = T_map_sensor * from_sensor;
+    std::optional<InTile> place;
+    if (inRange(from_sensor) && inCropBox(p)) place = locate(p);
+    if (!place) {
+      ++report.out_of_range;
+      continue;
+    }
+    const std::uint32_t color = scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U;
+    insert(*place, scan.cloud.hasColors(), color, sensor);
+    sum += p.head<2>();
+    ++report.used;
   }
+  if (report.used > 0U) scan_center = sum / static_cast<double>(report.used);
+}
+
+/// Where the points number begin ... end - 1 of a scan without colours go.
+PlacedPoints Preprocessor::Impl::place(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                                       std::size_t begin, std::size_t end) const {
+  PlacedPoints placed;
+  BlockIndex last_index;
+  PlacedPoints::InTile* last = nullptr;  // most points fall into the same tile as the one before
+  for (std::size_t i = begin; i < end; ++i) {
+    if (!scan.cloud.points[i].allFinite()) {
+      ++placed.report.non_finite;
+      continue;
+    }
+    ++placed.report.out_of_range;
+    const Eigen::Vector3d from_sensor = scan.cloud.mapPoint(i);
+    const Eigen::Vector3d p = T_map_sensor * from_sensor;
+    if (!inRange(from_sensor) || !inCropBox(p)) continue;
+    const BlockIndex index = map.tileAt(p.x(), p.y());
+    const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
+    if (!hasVoxelKey(local, map.voxelSize())) continue;
+    if (last == nullptr || !(last_index == index)) {
+      last_index = index;
+      last = &placed.tiles[index];
+    }
+    last->points.push_back(local);
+    forEachBlockAround(index, local, [&around = last->around](const BlockIndex& neighbor) {
+      const bool known = std::find(around.begin(), around.end(), neighbor) != around.end();
+      if (!known) around.push_back(neighbor);
+    });
+    placed.sum += p.head<2>();
+    ++placed.report.used;
+    --placed.report.out_of_range;
+  }
+  return placed;
+}
+
+/// A whole cloud has no sensor and may have many points: parts of it are placed, and its tiles
+/// filled, side by side.
+void Preprocessor::Impl::addWhole(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                                  const ComputeDevice& device, ScanReport& report) {
+  constexpr std::size_t kPart = 32768U;
+  std::vector<PlacedPoints> parts((scan.cloud.size() + kPart - 1U) / kPart);
+  parallelFor(parts.size(), [&](std::size_t k) {
+    parts[k] = place(scan, T_map_sensor, k * kPart, std::min(scan.cloud.size(), (k + 1U) * kPart));
+  });
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+  for (const PlacedPoints& part : parts) {
+    for (const auto& [index, in_tile] : part.tiles) {
+      touch(*reach(index).state);
+      for (const BlockIndex& neighbor : in_tile.around) {
+        const auto found = states.find(neighbor);
+        if (found != states.end()) touch(found->second);
+      }
+    }
+    report.non_finite += part.report.non_finite;
+    report.out_of_range += part.report.out_of_range;
+    report.used += part.report.used;
+    sum += part.sum;
+  }
+  if (report.used > 0U) scan_center = sum / static_cast<double>(report.used);
+
+  std::vector<ReachedTile*> work;
+  for (auto& [index, reached] : reached_tiles) work.push_back(&reached);
   std::vector<std::size_t> added(work.size());
   parallelFor(work.size(), [&](std::size_t t) {
+    std::vector<Eigen::Vector3f> points;
+    for (PlacedPoints& part : parts) {
+      const auto found = part.tiles.find(work[t]->index);
+      if (found == part.tiles.end()) continue;
+      points.insert(points.end(), found->second.points.begin(), found->second.points.end());
+      found->second.points = {};
+    }
     const std::size_t before = work[t]->tile->size();
-    work[t]->tile->insertAll(work[t]->waiting, map.voxelSize(), device);
+    work[t]->tile->insertAll(points, map.voxelSize(), device);
     added[t] = work[t]->tile->size() - before;
   });
   for (std::size_t t = 0; t < work.size(); ++t) {
     work[t]->state->new_voxels += added[t];
     voxel_count += added[t];
   }
-  reached_tiles.clear();
-  last_reached = nullptr;
 }
 
 /// Past the memory limit the tiles that were not reached for longest go first.
@@ -331,38 +444,17 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
   report.points = scan.cloud.size();
   impl_->newest_ns = std::max(impl_->newest_ns, scan.stamp_ns);
   if (!impl_->has_datum) impl_->chooseHeightDatum(scan, T_map_sensor);
-  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
   const std::optional<Eigen::Vector3d> sensor = impl_->sensorOf(scan, T_map_sensor);
   impl_->reached_tiles.clear();
   impl_->last_reached = nullptr;
-  // Whole clouds have no sensor: their tiles are filled side by side. Scans are too small for that.
-  constexpr std::size_t kWholeCloud = 100000U;
-  const bool by_tile =
-      scan.cloud.size() >= kWholeCloud && !scan.cloud.hasColors() && !sensor.has_value();
-  for (std::size_t i = 0; i < scan.cloud.size(); ++i) {
-    if (!scan.cloud.points[i].allFinite()) {
-      ++report.non_finite;
-      continue;
-    }
-    const Eigen::Vector3d from_sensor = scan.cloud.mapPoint(i);
-    const Eigen::Vector3d p = T_map_sensor * from_sensor;
-    std::optional<Impl::InTile> place;
-    if (impl_->inRange(from_sensor) && impl_->inCropBox(p)) place = impl_->locate(p);
-    if (!place) {
-      ++report.out_of_range;
-      continue;
-    }
-    if (by_tile) {
-      place->tile->waiting.push_back(place->local);
-    } else {
-      const std::uint32_t color = scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U;
-      impl_->insert(*place, scan.cloud.hasColors(), color, sensor);
-    }
-    sum += p.head<2>();
-    ++report.used;
+  constexpr std::size_t kWholeCloud = 100000U;  // scans are too small to be worth it
+  if (scan.cloud.size() >= kWholeCloud && !scan.cloud.hasColors() && !sensor) {
+    impl_->addWhole(scan, T_map_sensor, device, report);
+  } else {
+    impl_->addOneByOne(scan, T_map_sensor, sensor, report);
   }
-  impl_->insertWaiting(device);
-  if (report.used > 0U) impl_->scan_center = sum / static_cast<double>(report.used);
+  impl_->reached_tiles.clear();
+  impl_->last_reached = nullptr;
   impl_->chooseEvictions();
   return report;
 }

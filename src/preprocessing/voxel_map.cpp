@@ -1,5 +1,7 @@
 #include "field_phenotyping/preprocessing/voxel_map.hpp"
 
+#include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 
@@ -13,6 +15,54 @@ namespace {
 Place placeOf(const Eigen::Vector3f& p) {
   return {p.x(), p.y(), p.z()};
 }
+
+/// The numbers of voxels by key, while a tile is filled: quicker than a KeyMap, for a batch of
+/// slots is on its way from memory at once, and smaller, for keys are where the tile has them
+/// anyway.
+class VoxelSlots {
+ public:
+  static constexpr std::size_t kBatch = 64U;
+
+  /// @param most keys that there can be
+  explicit VoxelSlots(std::size_t most) {
+    unsigned bits = 6U;
+    while (2U * (std::size_t{1} << bits) < 3U * most) ++bits;  // at most two thirds full
+    slots_.assign(std::size_t{1} << bits, {kFree, 0U});
+    shift_ = 64U - bits;
+  }
+
+  static std::uint64_t hashOf(VoxelKey key) {
+    constexpr std::uint64_t kGolden = 0x9E3779B97F4A7C15U;  // scatters neighbouring keys
+    return key * kGolden;
+  }
+
+  /// Has the slot of a key brought near, for find() a little later.
+  void fetch(std::uint64_t hash) const { __builtin_prefetch(&slots_[hash >> shift_], 1); }
+
+  /// Number of the key's voxel: that of the next one where it has none yet.
+  /// @param keys of the voxels so far; the caller adds that of a new one
+  std::uint32_t find(VoxelKey key, std::uint64_t hash, const std::vector<VoxelKey>& keys) {
+    const std::uint32_t tag = tagOf(hash);
+    std::size_t at = hash >> shift_;
+    while (slots_[at].voxel != kFree && (slots_[at].tag != tag || keys[slots_[at].voxel] != key)) {
+      at = (at + 1U) & (slots_.size() - 1U);
+    }
+    if (slots_[at].voxel == kFree) slots_[at] = {static_cast<std::uint32_t>(keys.size()), tag};
+    return slots_[at].voxel;
+  }
+
+ private:
+  static constexpr std::uint32_t kFree = ~std::uint32_t{0};
+  struct Slot {
+    std::uint32_t voxel;
+    std::uint32_t tag;  // tells nearly all other keys without a look at theirs
+  };
+
+  static std::uint32_t tagOf(std::uint64_t hash) { return static_cast<std::uint32_t>(hash >> 16U); }
+
+  std::vector<Slot> slots_;
+  unsigned shift_ = 64U;
+};
 
 }  // namespace
 
@@ -56,7 +106,41 @@ void VoxelTile::insertAll(const std::vector<Eigen::Vector3f>& points, float voxe
     });
     if (done) return;
   }
+  if (voxels_.empty()) {
+    fill(points, voxel_size);
+    return;
+  }
   for (const Eigen::Vector3f& p : points) insert(p, voxel_size, false, 0U);
+}
+
+void VoxelTile::fill(const std::vector<Eigen::Vector3f>& points, float voxel_size) {
+  voxels_.reserve(points.size());
+  not_indexed_.reserve(points.size());
+  VoxelSlots slots(points.size());
+  const float* xyz = xyzOf(points);
+  std::array<std::int32_t, 3U * VoxelSlots::kBatch> cells;
+  std::array<VoxelKey, VoxelSlots::kBatch> keys;
+  std::array<std::uint64_t, VoxelSlots::kBatch> hashes;
+  for (std::size_t begin = 0; begin < points.size(); begin += keys.size()) {
+    const std::size_t count = std::min(keys.size(), points.size() - begin);
+    for (std::size_t c = 0; c < 3U * count; ++c) {
+      cells[c] = voxelOnAxis(xyz[3U * begin + c], voxel_size);
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+      keys[k] = voxelKeyOf(cells[3U * k], cells[3U * k + 1U], cells[3U * k + 2U]);
+      hashes[k] = VoxelSlots::hashOf(keys[k]);
+      slots.fetch(hashes[k]);
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+      const std::uint32_t voxel = slots.find(keys[k], hashes[k], not_indexed_);
+      if (voxel == voxels_.size()) {
+        not_indexed_.push_back(keys[k]);
+        voxels_.push_back(VoxelMean::of(placeOf(points[begin + k])));
+      } else {
+        voxels_[voxel].add(placeOf(points[begin + k]));
+      }
+    }
+  }
 }
 
 void VoxelTile::indexVoxels() {

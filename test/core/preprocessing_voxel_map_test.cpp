@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstring>
 #include <map>
 #include <random>
 #include <stdexcept>
@@ -72,6 +73,36 @@ std::map<std::array<long, 3>, Mean> bruteForce(const std::vector<ColoredPoint>& 
     mean.count += 1.0;
   }
   return means;
+}
+
+TEST(VoxelTile, FilledAtOnceIsAsFilledPointByPointAndGoesOnToBe) {
+  constexpr float kEdge = 0.003F;
+  for (const std::size_t count : {0U, 1U, 63U, 64U, 65U, 50000U}) {
+    for (const double extent : {0.02, 1.0}) {  // [m] many points a voxel, hardly any
+      std::vector<Eigen::Vector3f> points;
+      const Eigen::Vector3d half = Eigen::Vector3d::Constant(extent);
+      for (const ColoredPoint& p : randomPoints(count, -half, half, 31U)) {
+        points.push_back(p.position.cast<float>());
+      }
+      points.emplace_back(-0.0F, kEdge, -kEdge);  // on borders
+      VoxelTile one_by_one;
+      for (const Eigen::Vector3f& p : points) one_by_one.insert(p, kEdge, false, 0U);
+      VoxelTile at_once;
+      at_once.insertAll(points, kEdge, ComputeDevice());
+      for (int further = 0; further < 2; ++further) {
+        ASSERT_EQ(at_once.size(), one_by_one.size());
+        for (std::size_t i = 0; i < at_once.size(); ++i) {
+          const Eigen::Vector3f a = at_once.centroid(i);
+          const Eigen::Vector3f b = one_by_one.centroid(i);
+          ASSERT_EQ(std::memcmp(a.data(), b.data(), sizeof a), 0) << i;
+        }
+        for (std::size_t i = 0; i < points.size(); i += 7U) {
+          const Eigen::Vector3f p = 1.01F * points[i];
+          EXPECT_EQ(at_once.insert(p, kEdge, false, 0U), one_by_one.insert(p, kEdge, false, 0U));
+        }
+      }
+    }
+  }
 }
 
 TEST(VoxelMap, CentroidsAndColoursAreMeans) {

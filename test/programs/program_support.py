@@ -88,7 +88,8 @@ class ProgramTest(FolderTest):
         for table in tables:
             self.assertIn(table, said)
         self.assertIn('no table nothing', run('nothing').stderr)
-        self.assertIn('SKIPPED real', run('real').stdout)
+        if 'real' in tables:
+            self.assertIn('SKIPPED real', run('real').stdout)
 
     def assert_refused(self, result, *fragments):
         """One clear complaint that holds all fragments, and a failing exit status: no crash."""

@@ -59,6 +59,7 @@ class VoxelTile {
 
  private:
   void indexVoxels();
+  void fill(const std::vector<Eigen::Vector3f>& points, float voxel_size);
 
   KeyMap<std::uint32_t> index_;  // of voxels_, by key
   std::vector<VoxelMean> voxels_;
