@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <map>
-#include <numeric>
 #include <optional>
 #include <set>
 #include <utility>
@@ -70,47 +69,12 @@ PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std:
 
 }  // namespace
 
-/// The points column by column, so that those of a plant lie near to one another in memory: they
-/// come in the order in which the sensor saw them.
-PointCloud byColumns(PointCloud cloud) {
-  constexpr float kColumn = 0.10F;            // [m] edge
-  constexpr float kMostColumns = 1000000.0F;  // more, and there is little in each
-  if (cloud.empty()) return cloud;
-  Eigen::Array2f low = cloud.points.front().head<2>();
-  Eigen::Array2f high = low;
-  for (const Eigen::Vector3f& point : cloud.points) {
-    low = low.min(point.head<2>().array());
-    high = high.max(point.head<2>().array());
-  }
-  const Eigen::Array2f columns = ((high - low) / kColumn).floor() + 1.0F;
-  if (!(columns.prod() <= kMostColumns)) return cloud;
-  const auto in_row = static_cast<std::size_t>(columns.x());
-  std::vector<std::uint32_t> begins(in_row * static_cast<std::size_t>(columns.y()) + 1U, 0U);
-  std::vector<std::uint32_t> column_of(cloud.size());
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    const Eigen::Array2f at = (cloud.points[i].head<2>().array() - low) / kColumn;
-    const auto column =
-        static_cast<std::size_t>(at.y()) * in_row + static_cast<std::size_t>(at.x());
-    column_of[i] = static_cast<std::uint32_t>(column);
-    ++begins[column + 1U];
-  }
-  std::partial_sum(begins.begin(), begins.end(), begins.begin());
-  PointCloud sorted = cloud;
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    const std::uint32_t to = begins[column_of[i]]++;
-    sorted.points[to] = cloud.points[i];
-    if (cloud.hasColors()) sorted.colors[to] = cloud.colors[i];
-    if (cloud.hasScanOrigins()) sorted.scan_origin[to] = cloud.scan_origin[i];
-  }
-  return sorted;
-}
-
 Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
                   const ComputeDevice& device) {
   Block block;
   block.header = std::move(points.header);
   // 1. Without outliers; 2. the soil; 3. taken out.
-  PointCloud cloud = byColumns(std::move(points.cloud));
+  PointCloud cloud = std::move(points.cloud);
   const auto keep = radiusOutlierFilter(cloud, static_cast<float>(parameters.outlier_radius),
                                         parameters.outlier_min_neighbors, device);
   cloud = select(std::move(cloud), keep, 1U);
