@@ -11,7 +11,6 @@
 #include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "cloud_files.hpp"
@@ -39,11 +38,8 @@ std::vector<PipelineSetting> settingsOf(const Options& options, const ComputeDev
   if (options.threads.empty()) return pipelineSettings(gpu);
   std::vector<PipelineSetting> settings;
   for (const int threads : options.threads) {
-    // All cores are no limit.
-    const bool all = threads >= static_cast<int>(std::thread::hardware_concurrency());
-    settings.push_back({std::to_string(threads) + (threads == 1 ? " core" : " cores"),
-                        all && threads > 1 ? 0 : threads,
-                        {}});
+    settings.push_back(
+        {std::to_string(threads) + (threads == 1 ? " core" : " cores"), threads, {}});
   }
   return settings;
 }

@@ -23,9 +23,6 @@ double secondsOf(const std::function<void()>& work) {
 
 std::vector<std::vector<double>> timeInTurn(const std::vector<TimedTask>& tasks, int repeats,
                                             const std::function<void(double)>& progress) {
-  // TBB gives this thread as many helpers as it may have when it first asks for some, and no more
-  // later: that must not be within the limit of a task.
-  parallelFor(2U, [](std::size_t) {});
   std::vector<std::vector<double>> seconds(tasks.size());
   const double runs = static_cast<double>(tasks.size()) * (repeats + 1);
   double done = 0.0;

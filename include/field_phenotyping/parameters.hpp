@@ -32,7 +32,7 @@ struct PreprocessingParameters {
   double ground_max_tilt = 25.0;
   double ground_min_coverage = 0.25;
   double update_period = 2.0;
-  double update_min_change = 0.15;
+  double update_min_change = 0.5;
   double final_after = 5.0;
   double final_distance = 20.0;
   double memory_limit = 4.0e7;

@@ -1,26 +1,42 @@
 #include "field_phenotyping/common/parallel.hpp"
 
 #ifdef FIELD_PHENOTYPING_WITH_TBB
-#include <tbb/global_control.h>
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
+#include <atomic>
 #endif
 
 namespace field_phenotyping {
 
 #ifdef FIELD_PHENOTYPING_WITH_TBB
 
+namespace {
+
+/// Where the threads of the innermost limit work; none: TBB's own, of all cores. TBB also has a
+/// limit for the whole process, but after one of a single thread it often stays with that thread.
+std::atomic<tbb::task_arena*> limited{nullptr};
+
+}  // namespace
+
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task) {
-  tbb::parallel_for(std::size_t{0}, count, task);
+  const auto run = [&] { tbb::parallel_for(std::size_t{0}, count, task); };
+  if (tbb::task_arena* arena = limited.load()) {
+    arena->execute(run);
+  } else {
+    run();
+  }
 }
 
 struct ThreadLimit::Impl {
-  tbb::global_control control;
+  explicit Impl(int threads) : arena(threads), outer(limited.exchange(&arena)) {}
+  ~Impl() { limited.store(outer); }
+
+  tbb::task_arena arena;
+  tbb::task_arena* outer;
 };
 
-ThreadLimit::ThreadLimit(int threads)
-    : impl_(threads > 0 ? new Impl{tbb::global_control(tbb::global_control::max_allowed_parallelism,
-                                                       static_cast<std::size_t>(threads))}
-                        : nullptr) {}
+ThreadLimit::ThreadLimit(int threads) : impl_(threads > 0 ? new Impl(threads) : nullptr) {}
 
 #else
 

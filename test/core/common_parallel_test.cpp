@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <atomic>
+#include <chrono>
 #include <mutex>
 #include <set>
 #include <stdexcept>
@@ -77,10 +78,30 @@ TEST(ThreadLimit, BoundsTheThreadsAndEnds) {
     const ThreadLimit all(0);
     EXPECT_GE(threadsUsed(), 1U);
   }
-  // Nested limits: the tighter one holds.
+  // Nested limits: the inner one holds.
   const ThreadLimit outer(2);
   const ThreadLimit inner(1);
   EXPECT_EQ(threadsUsed(), 1U);
+}
+
+TEST(ThreadLimit, AllCoresWorkAgainAfterOne) {
+  if (std::thread::hardware_concurrency() < 2U) GTEST_SKIP() << "one core only";
+  for (int repeat = 0; repeat < 20; ++repeat) {
+    {
+      const ThreadLimit one(1);
+      EXPECT_EQ(threadsUsed(), 1U);
+    }
+    // Two tasks that end once both are under way, which takes two threads.
+    std::atomic<int> under_way{0};
+    std::atomic<bool> met{false};
+    parallelFor(2U, [&](std::size_t) {
+      ++under_way;
+      const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(5);
+      while (under_way < 2 && std::chrono::steady_clock::now() < end) std::this_thread::yield();
+      if (under_way == 2 && std::chrono::steady_clock::now() < end) met = true;
+    });
+    ASSERT_TRUE(met) << "in round " << repeat;
+  }
 }
 
 }  // namespace
