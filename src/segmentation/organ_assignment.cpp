@@ -15,6 +15,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/minimum_cut.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/neighborhood.hpp"
 #include "field_phenotyping/segmentation/stem_continuation.hpp"
@@ -26,6 +27,20 @@ constexpr float kCell = 0.015F;       // [m] points this close are one cell
 constexpr float kTouch = 0.03F;       // [m] cells this close touch
 constexpr float kNearReach = 0.04F;   // [m] steps within one organ
 constexpr float kWeedHeight = 0.25F;  // [m] below it an organ must touch its plant
+
+constexpr std::size_t kChunk = 512U;  // of things so small that a task takes many
+
+std::size_t chunksOf(std::size_t count) {
+  return (count + kChunk - 1U) / kChunk;
+}
+
+/// Calls work(begin, end) for chunks of [0, count), on all cores.
+template <class Work>
+void inChunks(std::size_t count, const Work& work) {
+  parallelFor(chunksOf(count), [&](std::size_t chunk) {
+    work(chunk * kChunk, std::min(count, (chunk + 1U) * kChunk));
+  });
+}
 
 /// Points gathered into cells: far fewer than points, and of even density.
 struct Cells {
@@ -46,14 +61,29 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner, fl
   Eigen::Array3f low = points.front().array();
   for (const Eigen::Vector3f& p : points) low = low.min(p.array());
   std::vector<std::pair<std::uint64_t, std::uint32_t>> order(points.size());  // by cell, point
+  constexpr unsigned kLevelBits = 42U;  // of a cell's number: its level, 21 bits each for y and x
+  std::vector<std::size_t> begin;       // of each level
+  const auto levelOf = [&](const Eigen::Vector3f& p) {
+    return static_cast<std::size_t>((p.z() - low.z()) / kCell);
+  };
+  for (const Eigen::Vector3f& p : points) {
+    const std::size_t level = levelOf(p);
+    if (begin.size() < level + 2U) begin.resize(level + 2U, 0U);
+    ++begin[level + 1U];
+  }
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  std::vector<std::size_t> next = begin;
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     const Eigen::Array3i cell = ((points[i].array() - low) / kCell).cast<int>();
-    order[i] = {static_cast<std::uint64_t>(cell.z()) << 42U |
-                    static_cast<std::uint64_t>(cell.y()) << 21U |
-                    static_cast<std::uint64_t>(cell.x()),
-                i};
+    order[next[levelOf(points[i])]++] = {static_cast<std::uint64_t>(cell.z()) << kLevelBits |
+                                             static_cast<std::uint64_t>(cell.y()) << 21U |
+                                             static_cast<std::uint64_t>(cell.x()),
+                                         i};
   }
-  std::sort(order.begin(), order.end());
+  parallelFor(begin.size() - 1U, [&](std::size_t level) {
+    std::sort(order.begin() + static_cast<std::ptrdiff_t>(begin[level]),
+              order.begin() + static_cast<std::ptrdiff_t>(begin[level + 1U]));
+  });
 
   Cells cells;
   cells.shape_radius = shape_radius;
@@ -103,16 +133,25 @@ struct Pieces {
 /// Which cells touch which, stems apart: looked up once, asked often.
 class Contacts {
  public:
-  Contacts(const Cells& cells, const NeighborGrid& grid) {
-    begin_.reserve(cells.size() + 1U);
-    for (std::uint32_t n = 0; n < cells.size(); ++n) {
-      begin_.push_back(touching_.size());
-      if (cells.is_stem[n] != 0U) continue;
-      grid.forEachWithin(cells.centers[n], kTouch, [&](std::uint32_t other, float) {
-        if (other != n && cells.is_stem[other] == 0U) touching_.push_back(other);
-      });
+  Contacts(const Cells& cells, const NeighborGrid& grid) : begin_(cells.size() + 1U) {
+    std::vector<std::vector<std::uint32_t>> touching(chunksOf(cells.size()));
+    inChunks(cells.size(), [&](std::size_t begin, std::size_t end) {
+      std::vector<std::uint32_t>& of_chunk = touching[begin / kChunk];
+      for (auto n = static_cast<std::uint32_t>(begin); n < end; ++n) {
+        const std::size_t before = of_chunk.size();
+        if (cells.is_stem[n] == 0U) {
+          grid.forEachWithin(cells.centers[n], kTouch, [&](std::uint32_t other, float) {
+            if (other != n && cells.is_stem[other] == 0U) of_chunk.push_back(other);
+          });
+        }
+        begin_[n + 1U] = of_chunk.size() - before;
+      }
+    });
+    std::partial_sum(begin_.begin(), begin_.end(), begin_.begin());
+    touching_.reserve(begin_.back());
+    for (const std::vector<std::uint32_t>& of_chunk : touching) {
+      touching_.insert(touching_.end(), of_chunk.begin(), of_chunk.end());
     }
-    begin_.push_back(touching_.size());
   }
 
   /// Calls visit(cell) for the cells that touch that one.
@@ -233,32 +272,40 @@ void growPieces(const Cells& cells, const Contacts& contacts, std::vector<std::i
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (piece_of[n] >= 0) listAround(n, front);
   }
-  std::vector<std::int32_t> touching;
-  for (int round = 0; round < kMostRounds && !front.empty(); ++round) {
-    std::vector<std::pair<std::uint32_t, std::int32_t>> grown;
-    for (const std::uint32_t n : front) {
-      listed[n] = 0U;
-      touching.clear();
-      contacts.forEach(n, [&](std::uint32_t other) {
-        const std::int32_t piece = piece_of[other];
-        if (piece >= 0 && std::find(touching.begin(), touching.end(), piece) == touching.end()) {
-          touching.push_back(piece);
-        }
-      });
-      float least = kOffset;
-      std::int32_t best = -1;
-      for (const std::int32_t piece : touching) {
-        const Ribbon ribbon = fitRibbon(places[static_cast<std::size_t>(piece)], cells.centers[n],
-                                        cells.shape_radius);
-        if (!ribbon.known) continue;
-        const Eigen::Vector3f offset = cells.centers[n] - ribbon.mean;
-        const float out = std::abs(offset.dot(ribbon.normal));
-        const float aside = std::abs(offset.dot(ribbon.normal.cross(ribbon.direction)));
-        if (out >= least || aside > kHalfWidth * ribbon.spread + kMargin) continue;
-        least = out;
-        best = piece;
+  const auto pieceFor = [&](std::uint32_t n, std::vector<std::int32_t>& touching) {
+    touching.clear();
+    contacts.forEach(n, [&](std::uint32_t other) {
+      const std::int32_t piece = piece_of[other];
+      if (piece >= 0 && std::find(touching.begin(), touching.end(), piece) == touching.end()) {
+        touching.push_back(piece);
       }
-      if (best >= 0) grown.emplace_back(n, best);
+    });
+    float least = kOffset;
+    std::int32_t best = -1;
+    for (const std::int32_t piece : touching) {
+      const Ribbon ribbon =
+          fitRibbon(places[static_cast<std::size_t>(piece)], cells.centers[n], cells.shape_radius);
+      if (!ribbon.known) continue;
+      const Eigen::Vector3f offset = cells.centers[n] - ribbon.mean;
+      const float out = std::abs(offset.dot(ribbon.normal));
+      const float aside = std::abs(offset.dot(ribbon.normal.cross(ribbon.direction)));
+      if (out >= least || aside > kHalfWidth * ribbon.spread + kMargin) continue;
+      least = out;
+      best = piece;
+    }
+    return best;
+  };
+  std::vector<std::int32_t> pieces;  // of the front
+  for (int round = 0; round < kMostRounds && !front.empty(); ++round) {
+    pieces.resize(front.size());
+    inChunks(front.size(), [&](std::size_t begin, std::size_t end) {
+      std::vector<std::int32_t> touching;
+      for (std::size_t k = begin; k < end; ++k) pieces[k] = pieceFor(front[k], touching);
+    });
+    std::vector<std::pair<std::uint32_t, std::int32_t>> grown;
+    for (std::size_t k = 0; k < front.size(); ++k) {
+      listed[front[k]] = 0U;
+      if (pieces[k] >= 0) grown.emplace_back(front[k], pieces[k]);
     }
     front.clear();
     for (const auto& [n, piece] : grown) {
@@ -287,12 +334,18 @@ Pieces findPieces(Cells& cells, float noise) {
     if (pieces.of_cell[n] < 0) continue;
     const auto piece = static_cast<std::size_t>(pieces.of_cell[n]);
     pieces.cells[piece].push_back(n);
-    const Ribbon ribbon = fitRibbon(places[piece], cells.centers[n], cells.shape_radius);
-    if (!ribbon.known) continue;
-    cells.shapes[n].direction = ribbon.direction;
-    cells.shapes[n].normal = ribbon.normal;
-    cells.shapes[n].linearity = ribbon.linearity;
   }
+  inChunks(cells.size(), [&](std::size_t begin, std::size_t end) {
+    for (std::size_t n = begin; n < end; ++n) {
+      if (pieces.of_cell[n] < 0) continue;
+      const Ribbon ribbon = fitRibbon(places[static_cast<std::size_t>(pieces.of_cell[n])],
+                                      cells.centers[n], cells.shape_radius);
+      if (!ribbon.known) continue;
+      cells.shapes[n].direction = ribbon.direction;
+      cells.shapes[n].normal = ribbon.normal;
+      cells.shapes[n].linearity = ribbon.linearity;
+    }
+  });
   return pieces;
 }
 
@@ -337,25 +390,28 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
   constexpr std::size_t kFarStride = 3U;
   const PlacesOfPieces all(cells, pieces, 1U, kNearReach);
   const PlacesOfPieces few(cells, pieces, kFarStride, reach);
-  std::vector<std::vector<Link>> links(pieces.cells.size());
-  std::vector<float> least(pieces.cells.size(), kMostCost);
-  // [m^2] beyond which a gap alone costs more than the least so far; 0 for pieces that are done.
+  // [m^2] beyond which a gap alone costs more than the least so far.
   const auto squaredGap = [](float cost) { return cost * kGapScale * cost * kGapScale; };
-  std::vector<float> farthest(pieces.cells.size(), squaredGap(kMostCost));
-  std::vector<std::uint32_t> touched;
-  const auto compare = [&](const PlacesOfPieces& among, std::uint32_t a) {
+  /// The cheapest ways from one piece to others.
+  struct Least {
+    std::vector<float> cost;      // to each
+    std::vector<float> farthest;  // [m^2] its squaredGap()
+    std::vector<std::uint32_t> touched;
+  };
+  const auto compare = [&](const PlacesOfPieces& among, std::uint32_t piece, std::uint32_t a,
+                           Least& least) {
     const Eigen::Vector3f& center = cells.centers[a];
     const Eigen::Vector3f& direction = cells.shapes[a].direction;
     among.grid->forEachWithin(center, among.reach, [&](std::uint32_t k, float squared) {
       const auto [other, b] = among.places[k];
-      if (squared >= farthest[other]) return;
+      if (other <= piece || squared >= least.farthest[other]) return;
       // What is cheap to know first, since few pairs are better than the best so far.
       const float gap = std::sqrt(squared);
       const float gap_cost = gap / kGapScale;
       const Eigen::Vector3f& onward = cells.shapes[b].direction;
       const float whole = 2.0F - 2.0F * std::abs(direction.dot(onward));
       constexpr float kPerBend = 0.5F / (kBendScale * kBendScale);
-      if (gap_cost + kPerBend * whole >= least[other]) return;
+      if (gap_cost + kPerBend * whole >= least.cost[other]) return;
       const Eigen::Vector3f step = cells.centers[b] - center;
       // Squares of angles, nearly: 2 - 2 cos.
       const auto bend = [&](const Eigen::Vector3f& along) {
@@ -364,24 +420,40 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
         return aside > 0.0F ? 2.0F - 2.0F * ahead / std::sqrt(ahead * ahead + aside * aside) : 0.0F;
       };
       const float cost = gap_cost + kPerBend * (bend(direction) + bend(onward) + whole);
-      if (cost >= least[other]) return;
+      if (cost >= least.cost[other]) return;
       if (gap > kNearReach && (cells.is_low[a] | cells.is_low[b]) != 0) return;
-      if (least[other] == kMostCost) touched.push_back(other);
-      least[other] = cost;
-      farthest[other] = squaredGap(cost);
+      if (least.cost[other] == kMostCost) least.touched.push_back(other);
+      least.cost[other] = cost;
+      least.farthest[other] = squaredGap(cost);
     });
   };
-  for (std::size_t piece = 0; piece < pieces.cells.size(); ++piece) {
-    touched.clear();
-    farthest[piece] = 0.0F;
-    const std::vector<std::uint32_t>& members = pieces.cells[piece];
-    for (const std::uint32_t a : members) compare(all, a);
-    for (std::size_t k = 0; k < members.size(); k += few.stride) compare(few, members[k]);
-    for (const std::uint32_t other : touched) {
-      links[piece].push_back({other, least[other]});
-      links[other].push_back({static_cast<std::uint32_t>(piece), least[other]});
-      least[other] = kMostCost;
-      farthest[other] = squaredGap(kMostCost);
+  const std::size_t count = pieces.cells.size();
+  std::vector<std::vector<Link>> onward(count);  // of each piece, to those after it
+  constexpr std::size_t kTogether = 32U;         // pieces of a task
+  parallelFor((count + kTogether - 1U) / kTogether, [&](std::size_t task) {
+    Least least{
+        std::vector<float>(count, kMostCost), std::vector<float>(count, squaredGap(kMostCost)), {}};
+    const std::size_t end = std::min(count, (task + 1U) * kTogether);
+    for (std::size_t p = task * kTogether; p < end; ++p) {
+      const auto piece = static_cast<std::uint32_t>(p);
+      const std::vector<std::uint32_t>& members = pieces.cells[p];
+      for (const std::uint32_t a : members) compare(all, piece, a, least);
+      for (std::size_t k = 0; k < members.size(); k += few.stride) {
+        compare(few, piece, members[k], least);
+      }
+      for (const std::uint32_t other : least.touched) {
+        onward[p].push_back({other, least.cost[other]});
+        least.cost[other] = kMostCost;
+        least.farthest[other] = squaredGap(kMostCost);
+      }
+      least.touched.clear();
+    }
+  });
+  std::vector<std::vector<Link>> links(count);
+  for (std::uint32_t piece = 0; piece < count; ++piece) {
+    for (const Link& link : onward[piece]) {
+      links[piece].push_back(link);
+      links[link.piece].push_back({piece, link.cost});
     }
   }
   return links;
@@ -691,18 +763,16 @@ std::vector<std::vector<Misfit>> compareForms(const Cells& cells, const Pieces& 
   std::vector<Eigen::Vector3f> feet;
   for (const Host& host : hosts) feet.push_back(level(host.axis->nodes().front().position));
   const NeighborGrid grid(feet, 0.5F * kFarthest);
-  std::vector<std::vector<Misfit>> misfits(hosts.size());
-  std::vector<std::pair<std::uint32_t, float>> of_plants;
-  PieceSamples samples;
-  for (std::uint32_t piece = 0; piece < pieces.cells.size(); ++piece) {
+  const std::size_t count = pieces.cells.size();
+  std::vector<std::vector<std::pair<std::uint32_t, float>>> of_plants(count);  // for each piece
+  parallelFor(count, [&](std::size_t piece) {
     const std::vector<std::uint32_t>& members = pieces.cells[piece];
     const std::size_t stride = (members.size() + kSamples - 1U) / kSamples;
+    PieceSamples samples;
     samples.take(cells, members, stride);
     const auto size = static_cast<float>(members.size());
     const float share =
         weight * size / (std::max(size, kWholeCells) * static_cast<float>(samples.size()));
-    of_plants.clear();
-    float least = std::numeric_limits<float>::max();
     grid.forEachWithin(level(cells.centers[members[members.size() / 2U]]), kFarthest,
                        [&](std::uint32_t plant, float) {
                          if (has_stem[plant] == 0U) return;
@@ -714,10 +784,15 @@ std::vector<std::vector<Misfit>> compareForms(const Cells& cells, const Pieces& 
                          }
                          const float cost = share * form.misfit(samples, host) +
                                             weight * high / static_cast<float>(samples.size());
-                         of_plants.emplace_back(plant, cost);
-                         least = std::min(least, cost);
+                         of_plants[piece].emplace_back(plant, cost);
                        });
-    for (const auto& [plant, cost] : of_plants) misfits[plant].push_back({piece, cost - least});
+  });
+  std::vector<std::vector<Misfit>> misfits(hosts.size());
+  for (std::uint32_t piece = 0; piece < count; ++piece) {
+    float least = std::numeric_limits<float>::max();
+    for (const auto& [plant, cost] : of_plants[piece]) least = std::min(least, cost);
+    for (const auto& [plant, cost] : of_plants[piece])
+      misfits[plant].push_back({piece, cost - least});
   }
   return misfits;
 }
