@@ -5,6 +5,7 @@
 #include <tbb/task_arena.h>
 
 #include <atomic>
+#include <optional>
 #endif
 
 namespace field_phenotyping {
@@ -29,14 +30,17 @@ void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task
 }
 
 struct ThreadLimit::Impl {
-  explicit Impl(int threads) : arena(threads), outer(limited.exchange(&arena)) {}
+  explicit Impl(int threads) {
+    if (threads > 0) arena.emplace(threads);
+    outer = limited.exchange(arena ? &*arena : nullptr);
+  }
   ~Impl() { limited.store(outer); }
 
-  tbb::task_arena arena;
-  tbb::task_arena* outer;
+  std::optional<tbb::task_arena> arena;
+  tbb::task_arena* outer = nullptr;
 };
 
-ThreadLimit::ThreadLimit(int threads) : impl_(threads > 0 ? new Impl(threads) : nullptr) {}
+ThreadLimit::ThreadLimit(int threads) : impl_(new Impl(threads)) {}
 
 #else
 

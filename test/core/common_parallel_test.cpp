@@ -84,23 +84,29 @@ TEST(ThreadLimit, BoundsTheThreadsAndEnds) {
   EXPECT_EQ(threadsUsed(), 1U);
 }
 
-TEST(ThreadLimit, AllCoresWorkAgainAfterOne) {
+/// Whether two tasks can be under way at a time, which takes two threads.
+bool tasksMeet() {
+  std::atomic<int> under_way{0};
+  std::atomic<bool> met{false};
+  parallelFor(2U, [&](std::size_t) {
+    ++under_way;
+    const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(5);
+    while (under_way < 2 && std::chrono::steady_clock::now() < end) std::this_thread::yield();
+    if (under_way == 2 && std::chrono::steady_clock::now() < end) met = true;
+  });
+  return met;
+}
+
+TEST(ThreadLimit, AllCoresWorkAfterAndWithinOne) {
   if (std::thread::hardware_concurrency() < 2U) GTEST_SKIP() << "one core only";
-  for (int repeat = 0; repeat < 20; ++repeat) {
+  for (int repeat = 0; repeat < 10; ++repeat) {
     {
       const ThreadLimit one(1);
       EXPECT_EQ(threadsUsed(), 1U);
+      const ThreadLimit all(0);
+      ASSERT_TRUE(tasksMeet()) << "in round " << repeat;
     }
-    // Two tasks that end once both are under way, which takes two threads.
-    std::atomic<int> under_way{0};
-    std::atomic<bool> met{false};
-    parallelFor(2U, [&](std::size_t) {
-      ++under_way;
-      const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(5);
-      while (under_way < 2 && std::chrono::steady_clock::now() < end) std::this_thread::yield();
-      if (under_way == 2 && std::chrono::steady_clock::now() < end) met = true;
-    });
-    ASSERT_TRUE(met) << "in round " << repeat;
+    ASSERT_TRUE(tasksMeet()) << "in round " << repeat;
   }
 }
 

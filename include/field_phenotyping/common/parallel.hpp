@@ -10,7 +10,7 @@ namespace field_phenotyping {
 /// first exception thrown by a task is rethrown.
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task);
 
-/// Limits parallelFor(), whoever calls it, to `threads` threads while it lives; 0 sets no limit.
+/// Limits parallelFor(), whoever calls it, to `threads` threads while it lives; 0 means all cores.
 /// The innermost limit holds.
 class ThreadLimit {
  public:
