@@ -5,6 +5,7 @@ import matplotlib
 matplotlib.use('Agg')  # no display needed
 import matplotlib.pyplot as plt  # noqa: E402
 import numpy as np  # noqa: E402
+from matplotlib.ticker import NullFormatter  # noqa: E402
 
 from . import traits  # noqa: E402
 from .reporting import TRAIT_UNITS  # noqa: E402
@@ -356,9 +357,12 @@ def pipeline_scaling(path, figures, unit):
                 '{} {}'.format(text, unit).strip(),
                 (at, value),
                 textcoords='offset points',
-                xytext=(4, -11),
+                xytext=(-6, 4),
+                ha='right',
                 fontsize=7,
             )
+        axes.set_xlim(points[0] / 3.0, points[-1] * 1.5)  # room for what is left of the first
+        axes.xaxis.set_minor_formatter(NullFormatter())  # its labels would overlap
         axes.set_xlabel('points [-]')
         axes.set_ylabel(label)
         axes.legend(fontsize=8)
