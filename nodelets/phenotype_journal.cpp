@@ -105,6 +105,10 @@ class PhenotypeJournal::Statement {
   }
 
   std::int64_t integer(int k) const { return sqlite3_column_int64(statement_, k); }
+  /// Of columns block_x, block_y.
+  BlockIndex block(int k) const {
+    return {static_cast<std::int32_t>(integer(k)), static_cast<std::int32_t>(integer(k + 1))};
+  }
   double real(int k) const { return sqlite3_column_double(statement_, k); }
   std::string text(int k) const {
     const auto* text = reinterpret_cast<const char*>(sqlite3_column_text(statement_, k));
@@ -237,8 +241,7 @@ void PhenotypeJournal::append(const PlantReport& report) {
 /// Of columns block_x, block_y, began_ns, stamp_ns, revision; without plants.
 PlantReport PhenotypeJournal::reportOf(const Statement& row, int first_column) {
   PlantReport report;
-  report.source.block = {static_cast<std::int32_t>(row.integer(first_column)),
-                         static_cast<std::int32_t>(row.integer(first_column + 1))};
+  report.source.block = row.block(first_column);
   report.source.began_ns = static_cast<std::uint64_t>(row.integer(first_column + 2));
   report.source.stamp_ns = static_cast<std::uint64_t>(row.integer(first_column + 3));
   report.source.revision = static_cast<std::uint32_t>(row.integer(first_column + 4));
@@ -285,8 +288,7 @@ std::vector<PlantReport> PhenotypeJournal::readAbout(const BlockIndex& block,
     of_plant.bind(1, std::int64_t{id});
     while (of_plant.step()) {
       said[of_plant.integer(0)].push_back(of_plant.plant(3));
-      blocks.insert({static_cast<std::int32_t>(of_plant.integer(1)),
-                     static_cast<std::int32_t>(of_plant.integer(2))});
+      blocks.insert(of_plant.block(1));
     }
     of_plant.reset();
   }

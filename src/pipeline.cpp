@@ -240,9 +240,8 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
             [](const Phenotype& a, const Phenotype& b) { return a.id < b.id; });
   result.labels.resize(cloud.size());
   constexpr std::size_t kChunk = 8192U;
-  parallelFor((cloud.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
-    const std::size_t end = std::min(cloud.size(), (chunk + 1U) * kChunk);
-    for (std::size_t i = chunk * kChunk; i < end; ++i) {
+  parallelChunks(cloud.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
       if (cloud.points[i].allFinite()) result.labels[i] = voxel_labels.at(cloud.mapPoint(i));
     }
   });

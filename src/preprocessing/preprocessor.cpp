@@ -41,6 +41,12 @@ struct ReachedTile {
   std::set<BlockIndex> touched;  // blocks that these points have touched
 };
 
+/// What became of the points of a scan.
+struct Tally {
+  ScanReport report;
+  Eigen::Vector2d sum = Eigen::Vector2d::Zero();  // of those that are kept [m]
+};
+
 /// Some points of a whole cloud, by tile.
 struct PlacedPoints {
   struct InTile {
@@ -48,8 +54,7 @@ struct PlacedPoints {
     std::vector<BlockIndex> around;       // other blocks in whose margins any of them lies
   };
   std::map<BlockIndex, InTile> tiles;
-  ScanReport report;
-  Eigen::Vector2d sum = Eigen::Vector2d::Zero();  // of those that were placed [m]
+  Tally tally;
 };
 
 PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std::uint8_t wanted) {
@@ -116,20 +121,15 @@ struct Preprocessor::Impl {
   void chooseHeightDatum(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
   std::optional<Eigen::Vector3d> sensorOf(const Scan& scan, const Eigen::Isometry3d& T_map_sensor);
   ReachedTile& reach(const BlockIndex& index);
-  /// A point of the map in its tile.
-  struct InTile {
-    ReachedTile* tile;
-    Eigen::Vector3f local;  // from the tile's origin [m]
-  };
-  std::optional<InTile> locate(const Eigen::Vector3d& p);
-  void insert(const InTile& point, bool with_color, std::uint32_t color,
-              const std::optional<Eigen::Vector3d>& sensor);
+  template <class Visit>
+  void forEachKept(const Scan& scan, const Eigen::Isometry3d& T_map_sensor, std::size_t begin,
+                   std::size_t end, Tally& tally, const Visit& visit) const;
   void addOneByOne(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
-                   const std::optional<Eigen::Vector3d>& sensor, ScanReport& report);
+                   const std::optional<Eigen::Vector3d>& sensor, Tally& tally);
   PlacedPoints place(const Scan& scan, const Eigen::Isometry3d& T_map_sensor, std::size_t begin,
                      std::size_t end) const;
   void addWhole(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
-                const ComputeDevice& device, ScanReport& report);
+                const ComputeDevice& device, Tally& tally);
   void touch(TileState& state) const;
   void touchBlocksAround(ReachedTile& reached, const Eigen::Vector3f& local);
   template <class Visit>
@@ -235,49 +235,48 @@ std::optional<Eigen::Vector3d> Preprocessor::Impl::sensorOf(const Scan& scan,
   return still ? sensor : std::nullopt;
 }
 
-/// Where a point goes; nothing if it lies too far from the map's other points to be kept.
-std::optional<Preprocessor::Impl::InTile> Preprocessor::Impl::locate(const Eigen::Vector3d& p) {
-  const BlockIndex index = map.tileAt(p.x(), p.y());
-  const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
-  if (!hasVoxelKey(local, map.voxelSize())) return std::nullopt;
-  ReachedTile& reached = reach(index);
-  touchBlocksAround(reached, local);
-  return InTile{&reached, local};
-}
-
-/// @param sensor where it was, if known
-void Preprocessor::Impl::insert(const InTile& point, bool with_color, std::uint32_t color,
-                                const std::optional<Eigen::Vector3d>& sensor) {
-  ReachedTile& reached = *point.tile;
-  if (!reached.tile->insert(point.local, map.voxelSize(), with_color, color)) return;
-  if (sensor) reached.tile->noteOrigin((*sensor - reached.origin).cast<float>());
-  ++reached.state->new_voxels;
-  ++voxel_count;
-}
-
-void Preprocessor::Impl::addOneByOne(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
-                                     const std::optional<Eigen::Vector3d>& sensor,
-                                     ScanReport& report) {
-  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
-  for (std::size_t i = 0; i < scan.cloud.size(); ++i) {
+/// Calls visit(number, tile, place from the tile's origin [m]) for the points begin ... end - 1 of
+/// a scan, but for those that are no numbers, out of range, or too far from the map's other points
+/// to be kept.
+template <class Visit>
+void Preprocessor::Impl::forEachKept(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                                     std::size_t begin, std::size_t end, Tally& tally,
+                                     const Visit& visit) const {
+  for (std::size_t i = begin; i < end; ++i) {
     if (!scan.cloud.points[i].allFinite()) {
-      ++report.non_finite;
+      ++tally.report.non_finite;
       continue;
     }
     const Eigen::Vector3d from_sensor = scan.cloud.mapPoint(i);
     const Eigen::Vector3d p = T_map_sensor * from_sensor;
-    std::optional<InTile> place;
-    if (inRange(from_sensor) && inCropBox(p)) place = locate(p);
-    if (!place) {
-      ++report.out_of_range;
-      continue;
+    if (inRange(from_sensor) && inCropBox(p)) {
+      const BlockIndex index = map.tileAt(p.x(), p.y());
+      const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
+      if (hasVoxelKey(local, map.voxelSize())) {
+        visit(i, index, local);
+        tally.sum += p.head<2>();
+        ++tally.report.used;
+        continue;
+      }
     }
-    const std::uint32_t color = scan.cloud.hasColors() ? scan.cloud.colors[i] : 0U;
-    insert(*place, scan.cloud.hasColors(), color, sensor);
-    sum += p.head<2>();
-    ++report.used;
+    ++tally.report.out_of_range;
   }
-  if (report.used > 0U) scan_center = sum / static_cast<double>(report.used);
+}
+
+/// @param sensor where it was, if known
+void Preprocessor::Impl::addOneByOne(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
+                                     const std::optional<Eigen::Vector3d>& sensor, Tally& tally) {
+  const bool with_color = scan.cloud.hasColors();
+  const auto insert = [&](std::size_t i, const BlockIndex& index, const Eigen::Vector3f& local) {
+    ReachedTile& reached = reach(index);
+    touchBlocksAround(reached, local);
+    const std::uint32_t color = with_color ? scan.cloud.colors[i] : 0U;
+    if (!reached.tile->insert(local, map.voxelSize(), with_color, color)) return;
+    if (sensor) reached.tile->noteOrigin((*sensor - reached.origin).cast<float>());
+    ++reached.state->new_voxels;
+    ++voxel_count;
+  };
+  forEachKept(scan, T_map_sensor, 0U, scan.cloud.size(), tally, insert);
 }
 
 /// Where the points number begin ... end - 1 of a scan without colours go.
@@ -286,18 +285,7 @@ PlacedPoints Preprocessor::Impl::place(const Scan& scan, const Eigen::Isometry3d
   PlacedPoints placed;
   BlockIndex last_index;
   PlacedPoints::InTile* last = nullptr;  // most points fall into the same tile as the one before
-  for (std::size_t i = begin; i < end; ++i) {
-    if (!scan.cloud.points[i].allFinite()) {
-      ++placed.report.non_finite;
-      continue;
-    }
-    ++placed.report.out_of_range;
-    const Eigen::Vector3d from_sensor = scan.cloud.mapPoint(i);
-    const Eigen::Vector3d p = T_map_sensor * from_sensor;
-    if (!inRange(from_sensor) || !inCropBox(p)) continue;
-    const BlockIndex index = map.tileAt(p.x(), p.y());
-    const Eigen::Vector3f local = (p - map.originOf(index)).cast<float>();
-    if (!hasVoxelKey(local, map.voxelSize())) continue;
+  const auto note = [&](std::size_t, const BlockIndex& index, const Eigen::Vector3f& local) {
     if (last == nullptr || !(last_index == index)) {
       last_index = index;
       last = &placed.tiles[index];
@@ -307,23 +295,20 @@ PlacedPoints Preprocessor::Impl::place(const Scan& scan, const Eigen::Isometry3d
       const bool known = std::find(around.begin(), around.end(), neighbor) != around.end();
       if (!known) around.push_back(neighbor);
     });
-    placed.sum += p.head<2>();
-    ++placed.report.used;
-    --placed.report.out_of_range;
-  }
+  };
+  forEachKept(scan, T_map_sensor, begin, end, placed.tally, note);
   return placed;
 }
 
 /// A whole cloud has no sensor and may have many points: parts of it are placed, and its tiles
 /// filled, side by side.
 void Preprocessor::Impl::addWhole(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
-                                  const ComputeDevice& device, ScanReport& report) {
+                                  const ComputeDevice& device, Tally& tally) {
   constexpr std::size_t kPart = 32768U;
-  std::vector<PlacedPoints> parts((scan.cloud.size() + kPart - 1U) / kPart);
-  parallelFor(parts.size(), [&](std::size_t k) {
-    parts[k] = place(scan, T_map_sensor, k * kPart, std::min(scan.cloud.size(), (k + 1U) * kPart));
+  std::vector<PlacedPoints> parts(chunksOf(scan.cloud.size(), kPart));
+  parallelChunks(scan.cloud.size(), kPart, [&](std::size_t begin, std::size_t end) {
+    parts[begin / kPart] = place(scan, T_map_sensor, begin, end);
   });
-  Eigen::Vector2d sum = Eigen::Vector2d::Zero();
   for (const PlacedPoints& part : parts) {
     for (const auto& [index, in_tile] : part.tiles) {
       touch(*reach(index).state);
@@ -332,12 +317,11 @@ void Preprocessor::Impl::addWhole(const Scan& scan, const Eigen::Isometry3d& T_m
         if (found != states.end()) touch(found->second);
       }
     }
-    report.non_finite += part.report.non_finite;
-    report.out_of_range += part.report.out_of_range;
-    report.used += part.report.used;
-    sum += part.sum;
+    tally.report.non_finite += part.tally.report.non_finite;
+    tally.report.out_of_range += part.tally.report.out_of_range;
+    tally.report.used += part.tally.report.used;
+    tally.sum += part.tally.sum;
   }
-  if (report.used > 0U) scan_center = sum / static_cast<double>(report.used);
 
   std::vector<ReachedTile*> work;
   for (auto& [index, reached] : reached_tiles) work.push_back(&reached);
@@ -404,8 +388,8 @@ bool Preprocessor::setParameters(const PreprocessingParameters& parameters) {
 
 ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
                                  const ComputeDevice& device) {
-  ScanReport report;
-  report.points = scan.cloud.size();
+  Tally tally;
+  tally.report.points = scan.cloud.size();
   impl_->newest_ns = std::max(impl_->newest_ns, scan.stamp_ns);
   if (!impl_->has_datum) impl_->chooseHeightDatum(scan, T_map_sensor);
   const std::optional<Eigen::Vector3d> sensor = impl_->sensorOf(scan, T_map_sensor);
@@ -413,14 +397,17 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
   impl_->last_reached = nullptr;
   constexpr std::size_t kWholeCloud = 100000U;  // scans are too small to be worth it
   if (scan.cloud.size() >= kWholeCloud && !scan.cloud.hasColors() && !sensor) {
-    impl_->addWhole(scan, T_map_sensor, device, report);
+    impl_->addWhole(scan, T_map_sensor, device, tally);
   } else {
-    impl_->addOneByOne(scan, T_map_sensor, sensor, report);
+    impl_->addOneByOne(scan, T_map_sensor, sensor, tally);
+  }
+  if (tally.report.used > 0U) {
+    impl_->scan_center = tally.sum / static_cast<double>(tally.report.used);
   }
   impl_->reached_tiles.clear();
   impl_->last_reached = nullptr;
   impl_->chooseEvictions();
-  return report;
+  return tally.report;
 }
 
 std::vector<BlockIndex> Preprocessor::dueBlocks(bool flush) const {

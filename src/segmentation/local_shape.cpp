@@ -62,13 +62,12 @@ std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& p
     });
     if (done) return shapes;
   }
-  constexpr std::uint32_t kChunk = 1024U;
-  parallelFor((points.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
+  constexpr std::size_t kChunk = 1024U;
+  parallelChunks(view.size, kChunk, [&](std::size_t begin, std::size_t end) {
     GrowingTile tile;
-    const auto begin = static_cast<std::uint32_t>(chunk) * kChunk;
     localShapesOfChunk(
-        SerialTeam(), view, begin, std::min(view.size, begin + kChunk), radius,
-        [&](std::uint32_t candidates) { return tile.of(candidates); },
+        SerialTeam(), view, static_cast<std::uint32_t>(begin), static_cast<std::uint32_t>(end),
+        radius, [&](std::uint32_t candidates) { return tile.of(candidates); },
         [&](std::uint32_t k, const LocalShapeNumbers& shape) {
           shapes[view.order[k]] = toLocalShape(shape);
         });

@@ -28,19 +28,7 @@ constexpr float kTouch = 0.03F;       // [m] cells this close touch
 constexpr float kNearReach = 0.04F;   // [m] steps within one organ
 constexpr float kWeedHeight = 0.25F;  // [m] below it an organ must touch its plant
 
-constexpr std::size_t kChunk = 512U;  // of things so small that a task takes many
-
-std::size_t chunksOf(std::size_t count) {
-  return (count + kChunk - 1U) / kChunk;
-}
-
-/// Calls work(begin, end) for chunks of [0, count), on all cores.
-template <class Work>
-void inChunks(std::size_t count, const Work& work) {
-  parallelFor(chunksOf(count), [&](std::size_t chunk) {
-    work(chunk * kChunk, std::min(count, (chunk + 1U) * kChunk));
-  });
-}
+constexpr std::size_t kChunk = 512U;  // cells of a task
 
 /// Points gathered into cells: far fewer than points, and of even density.
 struct Cells {
@@ -134,8 +122,8 @@ struct Pieces {
 class Contacts {
  public:
   Contacts(const Cells& cells, const NeighborGrid& grid) : begin_(cells.size() + 1U) {
-    std::vector<std::vector<std::uint32_t>> touching(chunksOf(cells.size()));
-    inChunks(cells.size(), [&](std::size_t begin, std::size_t end) {
+    std::vector<std::vector<std::uint32_t>> touching(chunksOf(cells.size(), kChunk));
+    parallelChunks(cells.size(), kChunk, [&](std::size_t begin, std::size_t end) {
       std::vector<std::uint32_t>& of_chunk = touching[begin / kChunk];
       for (auto n = static_cast<std::uint32_t>(begin); n < end; ++n) {
         const std::size_t before = of_chunk.size();
@@ -298,7 +286,7 @@ void growPieces(const Cells& cells, const Contacts& contacts, std::vector<std::i
   std::vector<std::int32_t> pieces;  // of the front
   for (int round = 0; round < kMostRounds && !front.empty(); ++round) {
     pieces.resize(front.size());
-    inChunks(front.size(), [&](std::size_t begin, std::size_t end) {
+    parallelChunks(front.size(), kChunk, [&](std::size_t begin, std::size_t end) {
       std::vector<std::int32_t> touching;
       for (std::size_t k = begin; k < end; ++k) pieces[k] = pieceFor(front[k], touching);
     });
@@ -335,7 +323,7 @@ Pieces findPieces(Cells& cells, float noise) {
     const auto piece = static_cast<std::size_t>(pieces.of_cell[n]);
     pieces.cells[piece].push_back(n);
   }
-  inChunks(cells.size(), [&](std::size_t begin, std::size_t end) {
+  parallelChunks(cells.size(), kChunk, [&](std::size_t begin, std::size_t end) {
     for (std::size_t n = begin; n < end; ++n) {
       if (pieces.of_cell[n] < 0) continue;
       const Ribbon ribbon = fitRibbon(places[static_cast<std::size_t>(pieces.of_cell[n])],
@@ -430,11 +418,10 @@ std::vector<std::vector<Link>> linkPieces(const Cells& cells, const Pieces& piec
   const std::size_t count = pieces.cells.size();
   std::vector<std::vector<Link>> onward(count);  // of each piece, to those after it
   constexpr std::size_t kTogether = 32U;         // pieces of a task
-  parallelFor((count + kTogether - 1U) / kTogether, [&](std::size_t task) {
+  parallelChunks(count, kTogether, [&](std::size_t begin, std::size_t end) {
     Least least{
         std::vector<float>(count, kMostCost), std::vector<float>(count, squaredGap(kMostCost)), {}};
-    const std::size_t end = std::min(count, (task + 1U) * kTogether);
-    for (std::size_t p = task * kTogether; p < end; ++p) {
+    for (std::size_t p = begin; p < end; ++p) {
       const auto piece = static_cast<std::uint32_t>(p);
       const std::vector<std::uint32_t>& members = pieces.cells[p];
       for (const std::uint32_t a : members) compare(all, piece, a, least);

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
-#include <limits>
 #include <tuple>
 
 namespace field_phenotyping {
@@ -195,6 +194,44 @@ std::optional<PlantRegistry::FoundShift> PlantRegistry::findShift(
                     first->first > second + kAhead};
 }
 
+/// Whether an id was given before it was known how the map has moved, and no block claims it now.
+bool PlantRegistry::isInDoubt(std::int32_t id) const {
+  return in_doubt_.count(id) > 0U && claimed_.count(id) == 0U;
+}
+
+/// Plants that were named anew before it was known how the map has moved have their older ids back.
+void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
+                                     const std::vector<Known>& near, std::uint64_t began_ns,
+                                     const Eigen::Vector2d& shift, Matches& matches) {
+  for (std::size_t p = 0; p < bases.size(); ++p) {
+    std::size_t& match = matches.of_plant[p];
+    if (match == kNone || !isInDoubt(near[match].id)) continue;
+    double nearest = match_radius_;
+    std::size_t older = kNone;
+    for (std::size_t e = 0; e < near.size(); ++e) {
+      if (matches.given[e] || near[e].stamp_ns >= began_ns) continue;
+      const double distance = (bases[p] - near[e].base - shift).norm();
+      if (!(distance < nearest)) continue;
+      nearest = distance;
+      older = e;
+    }
+    if (older == kNone) continue;
+    matches.given[match] = false;  // and goes, below
+    matches.given[older] = true;
+    match = older;
+  }
+  for (std::size_t e = 0; e < near.size(); ++e) {
+    if (matches.given[e] || !isInDoubt(near[e].id)) continue;
+    const bool of_another = std::any_of(bases.begin(), bases.end(), [&](const auto& base) {
+      return (base - near[e].base).norm() < match_radius_;
+    });
+    if (!of_another) continue;
+    takeOut(near[e]);
+    in_doubt_.erase(near[e].id);
+    matches.given[e] = true;
+  }
+}
+
 PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const BlockHeader& header = block.header;
@@ -232,45 +269,17 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     }
   }
   std::sort(pairs.begin(), pairs.end());
-  constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
-  std::vector<std::size_t> entry_of(bases.size(), kNone);
-  std::vector<bool> given(near.size(), false);
+  Matches matches{std::vector<std::size_t>(bases.size(), kNone),
+                  std::vector<bool>(near.size(), false)};
+  auto& [entry_of, given] = matches;
   for (const auto& [distance, p, e] : pairs) {
     if (entry_of[p] != kNone || given[e]) continue;
     entry_of[p] = e;
     given[e] = true;
   }
 
-  // Those that were named anew before it was known how the map has moved have their older ids back.
   const bool sure = shift && shift->sure;
-  for (std::size_t p = 0; sure && p < bases.size(); ++p) {
-    if (entry_of[p] == kNone) continue;
-    const Known& named = near[entry_of[p]];
-    if (in_doubt_.count(named.id) == 0U || claimed_.count(named.id) > 0U) continue;
-    double nearest = match_radius_;
-    std::size_t older = kNone;
-    for (std::size_t e = 0; e < near.size(); ++e) {
-      if (given[e] || !seenEarlier(near[e])) continue;
-      const double distance = (bases[p] - near[e].base - outcome.shift).norm();
-      if (!(distance < nearest)) continue;
-      nearest = distance;
-      older = e;
-    }
-    if (older == kNone) continue;
-    given[entry_of[p]] = false;  // and goes, below
-    entry_of[p] = older;
-    given[older] = true;
-  }
-  for (std::size_t e = 0; sure && e < near.size(); ++e) {
-    if (given[e] || in_doubt_.count(near[e].id) == 0U || claimed_.count(near[e].id) > 0U) continue;
-    const bool of_another = std::any_of(bases.begin(), bases.end(), [&](const auto& base) {
-      return (base - near[e].base).norm() < match_radius_;
-    });
-    if (!of_another) continue;
-    takeOut(near[e]);
-    in_doubt_.erase(near[e].id);
-    given[e] = true;
-  }
+  if (sure) giveOlderIdsBack(bases, near, header.began_ns, outcome.shift, matches);
   const auto mayBeAnEarlierOne = [&](const Eigen::Vector2d& base) {
     return std::any_of(near.begin(), near.end(), [&](const Known& known) {
       return seenEarlier(known) && (base - known.base).norm() < kMostShift + match_radius_;

@@ -334,9 +334,8 @@ std::vector<float> uprightWeights(const Block& block, const NeighborGrid& grid,
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   std::vector<float> weights(points.size(), 0.0F);
   constexpr std::size_t kChunk = 4096U;
-  parallelFor((points.size() + kChunk - 1U) / kChunk, [&](std::size_t chunk) {
-    const std::size_t end = std::min(points.size(), (chunk + 1U) * kChunk);
-    for (std::size_t i = chunk * kChunk; i < end; ++i) {
+  parallelChunks(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
       const LocalShape& shape = shapes[i];
       if (shape.direction.z() < min_cosine) continue;
       const float upright = (shape.direction.z() - min_cosine) / (1.0F - min_cosine);

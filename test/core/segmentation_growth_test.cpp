@@ -813,19 +813,21 @@ TEST(StemTop, NotAtAnEar) {
   EXPECT_GT(findStemTop(points, allOf(points), midline), 1.35F);
 }
 
+/// An axis of 1.6 m, of which less is a stem.
+Midline axisThatRunsOn() {
+  Midline midline;
+  midline.axis = verticalAxis(1.6F, 0.009F);
+  midline.spread = 0.002F;
+  return midline;
+}
+
 TEST(StemTop, AsTheStandsWhereTheTasselShowsOnOneSideOnly) {
   // Branches seen from one side: alone, the axis ends with the spike.
   Points points = surfaceOf(verticalAxis(1.55F, 0.009F), 1400U, 0.002, 2.0 * M_PI, 24U);
   addBranches(points, 1.2F, 1.3F, 2, 24U);
-  Midline midline;
-  midline.axis = verticalAxis(1.6F, 0.009F);
-  midline.spread = 0.002F;
+  const Midline midline = axisThatRunsOn();
   EXPECT_GT(findStemTop(points, allOf(points), midline), 1.5F);
-  StandLength stand;
-  stand.typical = 1.22;
-  stand.spread = 0.05;
-  stand.excess = 0.3;
-  stand.excess_share = 0.1;
+  const StandLength stand{1.22, 0.05, 0.3, 0.1};
   EXPECT_NEAR(findStemTop(points, allOf(points), midline, stand), 1.2F, 0.05F);
 }
 
@@ -834,28 +836,16 @@ TEST(StemTop, NotAtLeavesAllRoundWhereNoStemOfTheStandEnds) {
   Points points = surfaceOf(verticalAxis(1.55F, 0.009F), 1400U, 0.002, 2.0 * M_PI, 26U);
   addBranches(points, 0.97F, 1.03F, 7, 26U);
   addBranches(points, 1.2F, 1.3F, 2, 27U);
-  Midline midline;
-  midline.axis = verticalAxis(1.6F, 0.009F);
-  midline.spread = 0.002F;
+  const Midline midline = axisThatRunsOn();
   EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.97F, 0.05F);
-  StandLength stand;
-  stand.typical = 1.22;
-  stand.spread = 0.05;
-  stand.excess = 0.3;
-  stand.excess_share = 0.1;
+  const StandLength stand{1.22, 0.05, 0.3, 0.1};
   EXPECT_NEAR(findStemTop(points, allOf(points), midline, stand), 1.2F, 0.05F);
 }
 
 TEST(StemTop, ShortStemsOfATallStandStayShort) {
   Points points = surfaceOf(verticalAxis(0.9F, 0.009F), 900U, 0.002, 2.0 * M_PI, 25U);
-  Midline midline;
-  midline.axis = verticalAxis(1.6F, 0.009F);
-  midline.spread = 0.002F;
-  StandLength stand;
-  stand.typical = 1.5;
-  stand.spread = 0.06;
-  stand.excess = 0.3;
-  stand.excess_share = 0.1;
+  const Midline midline = axisThatRunsOn();
+  const StandLength stand{1.5, 0.06, 0.3, 0.1};
   EXPECT_NEAR(findStemTop(points, allOf(points), midline, stand), 0.9F, 0.06F);
 }
 

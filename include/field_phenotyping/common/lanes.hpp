@@ -100,16 +100,8 @@ inline Floats magnitudeOf(const Floats& values) {
 
 /// Exponentials of values in [-87, 87], exact to six digits.
 inline Floats exponentialOf(const Floats& values) {
-  constexpr float kLog2e = 1.44269504F;
-  constexpr float kRound = 12582912.0F;  // 1.5 * 2^23: what is added to it becomes whole
-  const Floats power = values * kLog2e;
-  const Floats whole = (power + kRound) - kRound;
-  const Floats rest = (power - whole) * 0.693147181F;  // in [-0.35, 0.35]
-  const Floats series =
-      1.0F +
-      rest * (1.0F + rest * (0.5F + rest * (1.0F / 6.0F + rest * (1.0F / 24.0F +
-                                                                  rest * (1.0F / 120.0F +
-                                                                          rest * 1.0F / 720.0F)))));
+  Floats whole;
+  const Floats series = exponentialOver(values, whole);
   constexpr std::int32_t kBias = 127;  // of a float's exponent, which begins at bit 23
   const Integers bits = (__builtin_convertvector(whole, Integers) + kBias) << 23;
   Floats scale;

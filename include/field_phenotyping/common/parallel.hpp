@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <functional>
 
@@ -9,6 +10,18 @@ namespace field_phenotyping {
 /// Tasks must not depend on one another; write results by index to keep them deterministic. The
 /// first exception thrown by a task is rethrown.
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task);
+
+constexpr std::size_t chunksOf(std::size_t count, std::size_t size) {
+  return (count + size - 1U) / size;
+}
+
+/// Runs task(begin, end) for every chunk of [0, count), `size` long but for the last: for work so
+/// small that a task takes much of it. Else as parallelFor().
+template <class Task>
+void parallelChunks(std::size_t count, std::size_t size, const Task& task) {
+  parallelFor(chunksOf(count, size),
+              [&](std::size_t chunk) { task(chunk * size, std::min(count, (chunk + 1U) * size)); });
+}
 
 /// Limits parallelFor(), whoever calls it, to `threads` threads while it lives; 0 means all cores.
 /// The innermost limit holds.

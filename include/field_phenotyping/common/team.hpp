@@ -69,18 +69,26 @@ FIELD_PHENOTYPING_HD Value teamSum(const Team& team, Value value, Value* scratch
   return sum;
 }
 
-/// Exponential of a value in [-87, 87], exact to six digits: the bits of a lane of exponentialOf().
-FIELD_PHENOTYPING_HD inline float exponentialOfLane(float value) {
+/// The exponential of a value, or of those of all lanes, over the power of two that is `whole`:
+/// exact to six digits for values in [-87, 87].
+template <class Float>
+FIELD_PHENOTYPING_HD Float exponentialOver(const Float& value, Float& whole) {
   constexpr float kLog2e = 1.44269504F;
   constexpr float kRound = 12582912.0F;  // 1.5 * 2^23: what is added to it becomes whole
-  const float power = value * kLog2e;
-  const float whole = (power + kRound) - kRound;
-  const float rest = (power - whole) * 0.693147181F;  // in [-0.35, 0.35]
-  const float series =
-      1.0F +
-      rest * (1.0F + rest * (0.5F + rest * (1.0F / 6.0F + rest * (1.0F / 24.0F +
-                                                                  rest * (1.0F / 120.0F +
-                                                                          rest * 1.0F / 720.0F)))));
+  const Float power = value * kLog2e;
+  whole = (power + kRound) - kRound;
+  const Float rest = (power - whole) * 0.693147181F;  // in [-0.35, 0.35]
+  return 1.0F +
+         rest * (1.0F +
+                 rest * (0.5F + rest * (1.0F / 6.0F +
+                                        rest * (1.0F / 24.0F +
+                                                rest * (1.0F / 120.0F + rest * 1.0F / 720.0F)))));
+}
+
+/// Exponential of a value in [-87, 87], exact to six digits: the bits of a lane of exponentialOf().
+FIELD_PHENOTYPING_HD inline float exponentialOfLane(float value) {
+  float whole;
+  const float series = exponentialOver(value, whole);
   constexpr std::int32_t kBias = 127;  // of a float's exponent, which begins at bit 23
   const auto bits = static_cast<std::uint32_t>(static_cast<std::int32_t>(whole) + kBias) << 23U;
   float scale;

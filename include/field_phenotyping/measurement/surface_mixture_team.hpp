@@ -98,6 +98,14 @@ struct PointScratch {
   float* candidates;  // numbers of those that count, in their order
   float* counts;      // whether it does
 };
+/// The next `count` of what `at` points to, which moves on.
+template <class Value>
+FIELD_PHENOTYPING_HD Value* takeFrom(Value*& at, int count) {
+  Value* const taken = at;
+  at += count;
+  return taken;
+}
+
 FIELD_PHENOTYPING_HD constexpr std::size_t pointScratchSize(int bins) {
   const auto n = static_cast<std::size_t>(paddedBins(bins));
   return kRecordSize + (n * (3U + kLocalSize) + 2U * n / kLanes + 1U) / 2U;
@@ -105,19 +113,14 @@ FIELD_PHENOTYPING_HD constexpr std::size_t pointScratchSize(int bins) {
 FIELD_PHENOTYPING_HD inline PointScratch pointScratchAt(double* memory, int bins) {
   const int n = paddedBins(bins);
   auto* at = reinterpret_cast<float*>(memory + kRecordSize);
-  const auto take = [&](int count) {
-    float* taken = at;
-    at += count;
-    return taken;
-  };
   PointScratch s;
   s.record = reinterpret_cast<Record*>(memory);
-  s.along = take(n);
-  s.across = take(n);
-  s.weights = take(n);
-  s.scores = take(n * kLocalSize);
-  s.candidates = take(n / static_cast<int>(kLanes));
-  s.counts = take(n / static_cast<int>(kLanes));
+  s.along = takeFrom(at, n);
+  s.across = takeFrom(at, n);
+  s.weights = takeFrom(at, n);
+  s.scores = takeFrom(at, n * kLocalSize);
+  s.candidates = takeFrom(at, n / static_cast<int>(kLanes));
+  s.counts = takeFrom(at, n / static_cast<int>(kLanes));
   return s;
 }
 
@@ -158,41 +161,31 @@ FIELD_PHENOTYPING_HD constexpr std::size_t sharedScratchSize(int bins) {
 }
 FIELD_PHENOTYPING_HD inline SharedScratch sharedScratchAt(double* memory, int bins) {
   double* at = memory;
-  const auto take = [&](int count) {
-    double* taken = at;
-    at += count;
-    return taken;
-  };
   const int unknowns = bins + kCrossSectionSize;
   const int padded = paddedBins(bins);
   SharedScratch s;
-  s.sums = reinterpret_cast<Sums*>(take(kSumsSize));
-  s.moved = take(kCrossSectionSize * kPatches);
-  s.x = take(bins);
-  s.y = take(bins);
-  s.log_shares = take(bins);
-  s.trial = take(bins);
-  s.shares = take(bins);
-  s.stiffness = take(bins * kShapePairs);
-  s.right = take(unknowns);
-  s.wished = take(unknowns);
-  s.matrix = take(unknowns * unknowns);
-  s.columns = take(kCrossSectionSize * unknowns);
+  s.sums = reinterpret_cast<Sums*>(takeFrom(at, kSumsSize));
+  s.moved = takeFrom(at, kCrossSectionSize * kPatches);
+  s.x = takeFrom(at, bins);
+  s.y = takeFrom(at, bins);
+  s.log_shares = takeFrom(at, bins);
+  s.trial = takeFrom(at, bins);
+  s.shares = takeFrom(at, bins);
+  s.stiffness = takeFrom(at, bins * kShapePairs);
+  s.right = takeFrom(at, unknowns);
+  s.wished = takeFrom(at, unknowns);
+  s.matrix = takeFrom(at, unknowns * unknowns);
+  s.columns = takeFrom(at, kCrossSectionSize * unknowns);
   auto* light = reinterpret_cast<float*>(at);
-  const auto takeLight = [&](int count) {
-    float* taken = light;
-    light += count;
-    return taken;
-  };
-  s.light_x = takeLight(padded);
-  s.light_y = takeLight(padded);
-  s.bulge_x = takeLight(padded);
-  s.bulge_y = takeLight(padded);
-  s.log_weight = takeLight(padded);
-  s.by_height = takeLight(padded * kHeightPowers);
-  s.outlying = takeLight(padded);
-  s.cross = takeLight(padded * kCrossSectionSize);
-  s.together = takeLight(padded * padded);
+  s.light_x = takeFrom(light, padded);
+  s.light_y = takeFrom(light, padded);
+  s.bulge_x = takeFrom(light, padded);
+  s.bulge_y = takeFrom(light, padded);
+  s.log_weight = takeFrom(light, padded);
+  s.by_height = takeFrom(light, padded * kHeightPowers);
+  s.outlying = takeFrom(light, padded);
+  s.cross = takeFrom(light, padded * kCrossSectionSize);
+  s.together = takeFrom(light, padded * padded);
   return s;
 }
 

@@ -16,7 +16,7 @@ namespace field_phenotyping {
 /// piece goes to one plant as a whole: to the one that gets at it, from the stem or through pieces
 /// that it continues, with the fewest and straightest gaps and through the best fitting pieces.
 /// What fits is learnt from the block: leaves point at their stem, rise from it, flatten and droop,
-/// and how far above the tops of their stems they reach.
+/// and in stands with tassels stay below the tops of their stems.
 /// A piece counts by how much worse it fits one plant than the one that it fits best.
 /// Then every plant in turn takes the pieces that make it and all links between pieces of two
 /// plants cost least (alpha expansion: Boykov, Veksler and Zabih, 2001). What carries on a stem

@@ -80,6 +80,12 @@ class PlantRegistry {
     std::uint64_t stamp_ns = 0U;
     Eigen::Vector2d base = Eigen::Vector2d::Zero();  // in the map as it was at stamp_ns [m]
   };
+  static constexpr std::size_t kNone = ~std::size_t{0};
+  /// Which of the known plants near a block its own are.
+  struct Matches {
+    std::vector<std::size_t> of_plant;  // number of the known one, or kNone
+    std::vector<bool> given;            // of the known ones: not free any more
+  };
   struct Claims {
     std::uint64_t stamp_ns = 0U;
     bool final = false;
@@ -108,6 +114,9 @@ class PlantRegistry {
   void file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns);
   void takeOut(const Known& known);
   void releaseClaims(const BlockHeader& header);
+  bool isInDoubt(std::int32_t id) const;
+  void giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases, const std::vector<Known>& near,
+                        std::uint64_t began_ns, const Eigen::Vector2d& shift, Matches& matches);
   const Claims* claimsOn(std::int32_t id) const;
   bool isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
                         const std::vector<Known>& near, std::vector<bool>& given);
