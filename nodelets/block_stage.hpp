@@ -23,6 +23,9 @@ namespace field_phenotyping {
 /// stages themselves keep only the newest revision of each block.
 constexpr std::uint32_t kChainQueue = 200U;
 
+/// `~flush` gives up when no block has been finished for so long.
+constexpr std::chrono::seconds kFlushStalled(120);
+
 /// Private parameters that every stage reads besides its section.
 const std::set<std::string>& commonParameterNames();
 
@@ -148,8 +151,8 @@ class BlockStage {
   }
 
   bool flush(std_srvs::Trigger::Request&, std_srvs::Trigger::Response& response) {
-    response.success = worker_->drain(std::chrono::seconds(120));
-    response.message = response.success ? "all blocks are worked" : "still working after 120 s";
+    response.success = worker_->drain(kFlushStalled);
+    response.message = response.success ? "all blocks are worked" : "one block has taken 120 s";
     return true;
   }
 

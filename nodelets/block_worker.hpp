@@ -160,10 +160,16 @@ class BlockWorker {
     changed_.notify_all();
   }
 
-  /// Waits until nothing is left to do; false if that took longer than `limit`.
-  bool drain(std::chrono::seconds limit) {
+  /// Waits until nothing is left to do, however long that is; false if no block was finished for
+  /// longer than `limit`.
+  bool drain(std::chrono::milliseconds limit) {
     std::unique_lock<std::mutex> lock(mutex_);
-    return changed_.wait_for(lock, limit, [this] { return waiting_.empty() && !busy_; });
+    const auto done = [this] { return waiting_.empty() && !busy_; };
+    while (!done()) {
+      const auto progress = [&, known = worked_count_] { return done() || worked_count_ != known; };
+      if (!changed_.wait_for(lock, limit, progress)) return false;
+    }
+    return true;
   }
 
   std::size_t waiting() const {
@@ -266,6 +272,7 @@ class BlockWorker {
         calls_.work(task);
         lock.lock();
         busy_ = false;
+        ++worked_count_;
         changed_.notify_all();
       }
       lock.unlock();
@@ -287,6 +294,7 @@ class BlockWorker {
   std::map<BlockIndex, Worked> worked_;  // the last time that open blocks were
   BlockHistory<T> history_;
   std::optional<ros::WallTime> opened_;  // since when work is done
+  std::uint64_t worked_count_ = 0U;      // blocks
   bool busy_ = false;
   bool running_ = true;
   std::thread thread_;  // last: runs on all of the above

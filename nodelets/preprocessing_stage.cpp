@@ -25,7 +25,6 @@ const ros::Duration kTfMemory(60.0);
 constexpr double kOtherClock = 30.0;
 // Coarser coordinates than this spoil a stem's diameter [m].
 constexpr double kCoarse = 0.001;
-constexpr std::chrono::seconds kFlushLimit(120);
 constexpr std::chrono::milliseconds kPause(10);
 // Blocks in the making: one is at work, and one more waits, so that it never has to.
 constexpr std::size_t kMostPending = 2U;
@@ -114,9 +113,15 @@ bool PreprocessingStage::flush(std_srvs::Trigger::Request&, std_srvs::Trigger::R
   std::unique_lock<std::mutex> lock(mutex_);
   const std::uint64_t wanted = ++flushes_wanted_;
   changed_.notify_all();
-  response.success =
-      changed_.wait_for(lock, kFlushLimit, [&] { return flushes_done_ >= wanted || !running_; });
-  response.message = response.success ? "all blocks are handed on" : "still working after 120 s";
+  const auto done = [&] { return flushes_done_ >= wanted || !running_; };
+  // However long it is: a long drive may leave many blocks.
+  for (std::uint64_t known = blocks_made_; !done(); known = blocks_made_) {
+    if (!changed_.wait_for(lock, kFlushStalled, [&] { return done() || blocks_made_ != known; }))
+      break;
+  }
+  response.success = done();
+  response.message =
+      response.success ? "all blocks are handed on" : "no block was ready within 120 s";
   return true;
 }
 
@@ -442,6 +447,10 @@ void PreprocessingStage::makeBlock(BlockMaker::Task& task) {
   } catch (const std::exception& error) {
     health_.count("blocks failed");
     health_.trouble("exception", std::string("a block was given up: ") + error.what());
+  }
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ++blocks_made_;
   }
   changed_.notify_all();
 }

@@ -119,6 +119,7 @@ class PreprocessingStage {
   ros::WallTime last_arrival_;
   std::uint64_t flushes_wanted_ = 0U;
   std::uint64_t flushes_done_ = 0U;
+  std::uint64_t blocks_made_ = 0U;
   bool running_ = true;
 
   std::unique_ptr<BlockMaker> maker_;  // from here on: runs on all of the above

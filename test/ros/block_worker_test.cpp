@@ -7,8 +7,10 @@
 #include <boost/make_shared.hpp>
 #include <chrono>
 #include <condition_variable>
+#include <future>
 #include <memory>
 #include <mutex>
+#include <thread>
 #include <vector>
 
 namespace field_phenotyping {
@@ -69,6 +71,7 @@ class SlowWorker {
     return {worked_.begin() + 1, worked_.end()};
   }
 
+  bool drain(std::chrono::milliseconds limit) { return worker_->drain(limit); }
   bool overloaded() const { return worker_->overloaded(); }
   std::size_t waiting() const { return worker_->waiting(); }
 
@@ -174,6 +177,20 @@ TEST(BlockWorker, OneBlockIsWorkedHoweverLargeItIs) {
   SlowWorker worker(kAtOnce);
   EXPECT_EQ(worker.push(0, 1U, true, 100000U).dropped, 0U);
   EXPECT_EQ(worker.finishAll(), (std::vector<int>{0}));
+}
+
+TEST(BlockWorker, DrainingTakesAsLongAsThereIsProgress) {
+  constexpr std::chrono::milliseconds kLimit(400);
+  SlowWorker worker(kNever);
+  for (int x = 0; x < 8; ++x) worker.push(x, 0U, true);
+  auto drained = std::async(std::launch::async, [&] { return worker.drain(kLimit); });
+  for (int x = 0; x < 8; ++x) {  // twice the limit in all
+    std::this_thread::sleep_for(kLimit / 4);
+    worker.finishOne();
+  }
+  EXPECT_NE(drained.wait_for(std::chrono::seconds(0)), std::future_status::ready);
+  // The last one takes longer than that.
+  EXPECT_FALSE(drained.get());
 }
 
 }  // namespace
