@@ -34,6 +34,15 @@ void checkConsistency(const PointCloud& cloud) {
   }
 }
 
+void checkConsistency(const Block& block) {
+  checkConsistency(block.cloud);
+  checkConsistency(block.feet);
+  require(block.feet.empty() || (block.feet.hasColors() == block.cloud.hasColors() &&
+                                 block.feet.hasScanOrigins() == block.cloud.hasScanOrigins() &&
+                                 block.feet.scan_origins.size() == block.cloud.scan_origins.size()),
+          "the feet know less or more of their points than the cloud");
+}
+
 void checkConsistency(const SegmentedBlock& block) {
   checkConsistency(block.cloud);
   require(block.source_index.size() == block.cloud.size(), "source_index is not one a point");

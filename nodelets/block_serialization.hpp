@@ -26,6 +26,7 @@ std_msgs::Header messageHeader(const BlockHeader& header);
 /// What reading from the wire checks before a value reaches the algorithms.
 /// @throws std::runtime_error naming what does not fit together
 void checkConsistency(const PointCloud& cloud);
+void checkConsistency(const Block& block);
 void checkConsistency(const SegmentedBlock& block);
 void checkConsistency(const CompletedBlock& block);
 
@@ -297,7 +298,7 @@ struct Serializer<field_phenotyping::Block>
   template <class Stream>
   static void read(Stream& stream, field_phenotyping::Block& block) {
     fields(stream, block);
-    field_phenotyping::checkConsistency(block.cloud);
+    field_phenotyping::checkConsistency(block);
   }
 
  private:
@@ -307,6 +308,7 @@ struct Serializer<field_phenotyping::Block>
     stream.next(block.cloud);
     stream.next(block.ground);
     stream.next(block.ground_points);
+    stream.next(block.feet);
   }
 };
 

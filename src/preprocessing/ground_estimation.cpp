@@ -375,4 +375,24 @@ std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundMo
   return is_ground;
 }
 
+std::vector<std::uint8_t> soilAtFeet(const PointCloud& cloud, const GroundModel& ground,
+                                     const std::vector<std::uint8_t>& is_ground) {
+  constexpr float kStanding = 0.12F;  // [m] of what stands there, from the soil
+  constexpr float kReach = 0.035F;    // [m] beside it: a stem's width and some soil to compare with
+  std::vector<std::uint8_t> at_feet(cloud.size(), 0U);
+  std::vector<Eigen::Vector3f> feet;  // seen from above
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    const Eigen::Vector3f& p = cloud.points[i];
+    if (is_ground[i] == 0U && ground.heightAbove(p) < kStanding)
+      feet.emplace_back(p.x(), p.y(), 0.0F);
+  }
+  const NeighborGrid grid(feet, kReach);
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    if (is_ground[i] == 0U) continue;
+    const Eigen::Vector3f& p = cloud.points[i];
+    if (grid.hasWithin({p.x(), p.y(), 0.0F}, kReach, 1U)) at_feet[i] = 1U;
+  }
+  return at_feet;
+}
+
 }  // namespace field_phenotyping

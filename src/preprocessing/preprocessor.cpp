@@ -57,19 +57,22 @@ struct PlacedPoints {
   Tally tally;
 };
 
-PointCloud select(PointCloud cloud, const std::vector<std::uint8_t>& flags, std::uint8_t wanted) {
-  std::size_t kept = 0;
+PointCloud select(const PointCloud& cloud, const std::vector<std::uint8_t>& flags,
+                  std::uint8_t wanted) {
+  PointCloud kept;
+  kept.origin = cloud.origin;
+  kept.scan_origins = cloud.scan_origins;
+  const auto count = static_cast<std::size_t>(std::count(flags.begin(), flags.end(), wanted));
+  kept.points.reserve(count);
+  if (cloud.hasColors()) kept.colors.reserve(count);
+  if (cloud.hasScanOrigins()) kept.scan_origin.reserve(count);
   for (std::size_t i = 0; i < flags.size(); ++i) {
     if (flags[i] != wanted) continue;
-    cloud.points[kept] = cloud.points[i];
-    if (cloud.hasColors()) cloud.colors[kept] = cloud.colors[i];
-    if (cloud.hasScanOrigins()) cloud.scan_origin[kept] = cloud.scan_origin[i];
-    ++kept;
+    kept.points.push_back(cloud.points[i]);
+    if (cloud.hasColors()) kept.colors.push_back(cloud.colors[i]);
+    if (cloud.hasScanOrigins()) kept.scan_origin.push_back(cloud.scan_origin[i]);
   }
-  cloud.points.resize(kept);
-  if (cloud.hasColors()) cloud.colors.resize(kept);
-  if (cloud.hasScanOrigins()) cloud.scan_origin.resize(kept);
-  return cloud;
+  return kept;
 }
 
 }  // namespace
@@ -79,15 +82,14 @@ Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
   Block block;
   block.header = std::move(points.header);
   // 1. Without outliers; 2. the soil; 3. taken out.
-  PointCloud cloud = std::move(points.cloud);
-  const auto keep = radiusOutlierFilter(cloud, static_cast<float>(parameters.outlier_radius),
+  const auto keep = radiusOutlierFilter(points.cloud, static_cast<float>(parameters.outlier_radius),
                                         parameters.outlier_min_neighbors, device);
-  cloud = select(std::move(cloud), keep, 1U);
+  const PointCloud cloud = select(points.cloud, keep, 1U);
   block.ground = estimateGround(cloud, parameters, device);
   const auto is_ground = classifyGround(cloud, block.ground, parameters);
-  const std::size_t total = cloud.size();
-  block.cloud = select(std::move(cloud), is_ground, 0U);
-  block.ground_points = static_cast<std::uint32_t>(total - block.cloud.size());
+  block.cloud = select(cloud, is_ground, 0U);
+  block.ground_points = static_cast<std::uint32_t>(cloud.size() - block.cloud.size());
+  block.feet = select(cloud, soilAtFeet(cloud, block.ground, is_ground), 1U);
   return block;
 }
 

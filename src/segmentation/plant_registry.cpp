@@ -19,20 +19,28 @@ Eigen::Vector2d cornerOf(const std::pair<std::int64_t, std::int64_t>& cell) {
   return kCell * Eigen::Vector2d(static_cast<double>(cell.first), static_cast<double>(cell.second));
 }
 
+bool isFartherWest(const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
+  return std::tie(a.x(), a.y()) < std::tie(b.x(), b.y());
+}
+
 /// How well the bases fit what is known if the map has moved by `shift`: about the number of those
 /// that have a known one where they are.
+/// @param earlier from west to east
 double agreement(const std::vector<Eigen::Vector2d>& bases,
                  const std::vector<Eigen::Vector2d>& earlier, const Eigen::Vector2d& shift) {
   constexpr double kSpread = 0.01;  // [m] of most bases from pass to pass
   constexpr double kWide = 0.03;    // [m] of the others
-  constexpr double kFar = 4.0 * kWide * kWide;
+  constexpr double kFar = 2.0 * kWide;
   double sum = 0.0;
   for (const Eigen::Vector2d& base : bases) {
-    double nearest = kFar;
-    for (const Eigen::Vector2d& known : earlier) {
-      nearest = std::min(nearest, (base - shift - known).squaredNorm());
+    const Eigen::Vector2d expected = base - shift;
+    double nearest = kFar * kFar;
+    const Eigen::Vector2d west(expected.x() - kFar, expected.y());
+    for (auto known = std::lower_bound(earlier.begin(), earlier.end(), west, isFartherWest);
+         known != earlier.end() && known->x() <= expected.x() + kFar; ++known) {
+      nearest = std::min(nearest, (expected - *known).squaredNorm());
     }
-    if (nearest >= kFar) continue;
+    if (nearest >= kFar * kFar) continue;
     sum += 0.7 * std::exp(-0.5 * nearest / (kSpread * kSpread)) +
            0.3 * std::exp(-0.5 * nearest / (kWide * kWide));
   }
@@ -153,6 +161,7 @@ PlantRegistry::ExpectedShift PlantRegistry::expectedShift(std::uint64_t stamp_ns
 }
 
 /// Every difference of a base and a known one is tried; nothing where none is convincing.
+/// @param earlier from west to east
 std::optional<PlantRegistry::FoundShift> PlantRegistry::findShift(
     const std::vector<Eigen::Vector2d>& bases, const std::vector<Eigen::Vector2d>& earlier,
     std::uint64_t stamp_ns) const {
@@ -232,6 +241,35 @@ void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
   }
 }
 
+/// The same for plants of another block, that saw too little: it hears of them when it reports
+/// next.
+void PlantRegistry::giveOthersOlderIdsBack(const std::vector<Known>& near, std::uint64_t began_ns,
+                                           const Eigen::Vector2d& shift, Matches& matches) {
+  for (std::size_t e = 0; e < near.size(); ++e) {
+    const Known& doubted = near[e];
+    if (matches.given[e] || in_doubt_.count(doubted.id) == 0U) continue;
+    const auto claimed = claimed_.find(doubted.id);
+    if (claimed == claimed_.end()) continue;
+    for (std::size_t o = 0; o < near.size(); ++o) {
+      const Known& older = near[o];
+      if (matches.given[o] || older.stamp_ns >= began_ns || claimed_.count(older.id) > 0U) continue;
+      if (!((doubted.base - older.base - shift).norm() < match_radius_)) continue;
+      const BlockIndex block = claimed->second;
+      Claims& claims = claims_.at(block);
+      std::replace(claims.ids.begin(), claims.ids.end(), doubted.id, older.id);
+      claims.seen.insert(older.id);
+      claimed_.erase(claimed);
+      claimed_.emplace(older.id, block);
+      in_doubt_.erase(doubted.id);
+      takeOut(doubted);
+      takeOut(older);
+      file(older.id, doubted.base, doubted.stamp_ns);
+      matches.given[e] = matches.given[o] = true;
+      break;
+    }
+  }
+}
+
 PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const BlockHeader& header = block.header;
@@ -253,6 +291,7 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   for (const Known& known : near) {
     if (seenEarlier(known)) earlier.push_back(known.base);
   }
+  std::sort(earlier.begin(), earlier.end(), isFartherWest);
   Outcome outcome;
   const auto shift = findShift(all_bases, earlier, header.stamp_ns);
   if (shift && shift->sure) last_shift_ = {shift->shift, header.stamp_ns};
@@ -279,7 +318,10 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   }
 
   const bool sure = shift && shift->sure;
-  if (sure) giveOlderIdsBack(bases, near, header.began_ns, outcome.shift, matches);
+  if (sure) {
+    giveOlderIdsBack(bases, near, header.began_ns, outcome.shift, matches);
+    giveOthersOlderIdsBack(near, header.began_ns, outcome.shift, matches);
+  }
   const auto mayBeAnEarlierOne = [&](const Eigen::Vector2d& base) {
     return std::any_of(near.begin(), near.end(), [&](const Known& known) {
       return seenEarlier(known) && (base - known.base).norm() < kMostShift + match_radius_;
@@ -319,12 +361,14 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   }
   claims_[header.index] = std::move(claims);
 
-  // 4. In the end, plants that are hidden in this pass have moved with the rest.
+  // 4. In the end, plants of its own that are hidden in this pass have moved with the rest.
   if (!sure || !header.final) return outcome;
   for (std::size_t e = 0; e < near.size(); ++e) {
     if (given[e] || !seenEarlier(near[e])) continue;
+    const Eigen::Vector2d base = near[e].base + shift->shift;
+    if (!header.holds(base.x(), base.y())) continue;
     takeOut(near[e]);
-    file(near[e].id, near[e].base + shift->shift, header.began_ns);
+    file(near[e].id, base, header.stamp_ns);
   }
   return outcome;
 }

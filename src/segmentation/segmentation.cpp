@@ -8,6 +8,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/segmentation/foot_points.hpp"
 #include "field_phenotyping/segmentation/found_twice.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
@@ -112,7 +113,7 @@ std::vector<bool> findTillers(const GrowthScene& scene, const Block& block,
   return tillers;
 }
 
-/// Reorders the block's points plant by plant, stems first.
+/// Reorders the block's points plant by plant, stems first, with those that the soil gives back.
 SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
                         const std::vector<std::int32_t>& stem_owner,
                         const std::vector<std::int32_t>& plant_owner) {
@@ -131,6 +132,12 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
     const std::size_t group =
         plant < 0 ? none : kGroups * static_cast<std::size_t>(plant) + (is_stem ? 0U : 1U);
     groups[group].push_back(i);
+  }
+  const auto feet_begin = static_cast<std::uint32_t>(block.cloud.size());
+  const std::vector<std::int32_t> foot_owner = findFootPoints(block, axesOf(stems), stem_owner);
+  for (std::uint32_t i = 0; i < foot_owner.size(); ++i) {
+    if (foot_owner[i] < 0) continue;
+    groups[kGroups * static_cast<std::size_t>(foot_owner[i])].push_back(feet_begin + i);
   }
   out.source_index.reserve(block.cloud.size());
   const auto append = [&](const std::vector<std::uint32_t>& group) {
@@ -153,12 +160,12 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   }
   append(groups[none]);
 
-  for (const std::uint32_t i : out.source_index) {
-    out.cloud.points.push_back(block.cloud.points[i]);
-    if (block.cloud.hasColors()) out.cloud.colors.push_back(block.cloud.colors[i]);
-    if (block.cloud.hasScanOrigins()) {
-      out.cloud.scan_origin.push_back(block.cloud.scan_origin[i]);
-    }
+  for (const std::uint32_t source : out.source_index) {
+    const PointCloud& from = source < feet_begin ? block.cloud : block.feet;
+    const std::uint32_t i = source < feet_begin ? source : source - feet_begin;
+    out.cloud.points.push_back(from.points[i]);
+    if (from.hasColors()) out.cloud.colors.push_back(from.colors[i]);
+    if (from.hasScanOrigins()) out.cloud.scan_origin.push_back(from.scan_origin[i]);
   }
   return out;
 }

@@ -198,6 +198,77 @@ TEST(PlantRegistry, PlantsNamedBeforeTheShiftIsKnownGetTheirOlderIds) {
   EXPECT_EQ(registry.size(), bases.size());
 }
 
+TEST(PlantRegistry, PlantsThatAnotherBlockNamedInDoubtGetTheirOlderIdsToo) {
+  // The map has moved by 10 cm, and a block at the end of the row sees but its last plant: too few
+  // to know it. Its neighbour sees enough.
+  constexpr std::uint64_t kSecond = 1'000'000'000U;
+  std::mt19937 random(4U);
+  std::normal_distribution<double> sown(0.0, 0.015);
+  std::vector<Eigen::Vector2d> bases, moved;
+  for (int k = 0; k < 9; ++k) {
+    bases.emplace_back((k == 0 ? -0.15 : 0.2 * k) + sown(random), 1.0 + sown(random));
+    moved.emplace_back(bases.back() + Eigen::Vector2d(-0.04, 0.09));
+  }
+  PlantRegistry registry;
+  const auto pass = [&](const BlockIndex& index, const std::vector<Eigen::Vector2d>& seen,
+                        std::uint64_t began, std::uint64_t stamp) {
+    SegmentedBlock block = blockWith(index, seen);
+    block.header.began_ns = began * kSecond;
+    block.header.stamp_ns = stamp * kSecond;
+    return identify(registry, block);
+  };
+  const auto ends = [](const std::vector<Eigen::Vector2d>& all) {
+    return std::vector<Eigen::Vector2d>{all.begin(), all.begin() + 2};
+  };
+  const auto last = pass({-1, 0}, ends(bases), 1U, 20U)[0];
+  const auto others = pass({0, 0}, bases, 2U, 21U);
+  ASSERT_GE(last, 0);
+  EXPECT_NE(pass({-1, 0}, ends(moved), 100U, 105U)[0], last) << "nobody could know";
+  const auto again = pass({0, 0}, moved, 101U, 110U);
+  EXPECT_TRUE(std::equal(again.begin() + 1, again.end(), others.begin() + 1));
+  EXPECT_EQ(pass({-1, 0}, ends(moved), 100U, 115U)[0], last);
+  EXPECT_EQ(registry.size(), bases.size());
+}
+
+TEST(PlantRegistry, HiddenPlantsMoveOnceThoughManyBlocksSeeThemIn) {
+  // Two neighbours are seen a second time in a moved map, the right one a little later; each knows
+  // of the other's plants near the border.
+  constexpr std::uint64_t kSecond = 1'000'000'000U;
+  std::mt19937 random(5U);
+  std::normal_distribution<double> sown(0.0, 0.015);
+  for (const std::uint64_t later : {1U, 200U}) {
+    std::vector<Eigen::Vector2d> left, right, seen_left, seen_right;
+    for (int k = 0; k < 20; ++k) {
+      const Eigen::Vector2d base(0.1 + 0.2 * k + sown(random), 1.0 + sown(random));
+      (base.x() < kTile ? left : right).push_back(base);
+    }
+    PlantRegistry registry;
+    const auto pass = [&](int x, std::vector<Eigen::Vector2d> all, std::uint64_t began,
+                          std::uint64_t stamp, bool final) {
+      SegmentedBlock block = blockWith({x, 0}, all);
+      block.header.began_ns = began * kSecond;
+      block.header.stamp_ns = stamp * kSecond;
+      block.header.final = final;
+      return identify(registry, block);
+    };
+    const auto with = [](std::vector<Eigen::Vector2d> own, const Eigen::Vector2d& neighbour) {
+      own.push_back(neighbour);
+      return own;
+    };
+    const auto moved = [](std::vector<Eigen::Vector2d> all) {
+      for (Eigen::Vector2d& base : all) base += Eigen::Vector2d(-0.03, 0.09);
+      return all;
+    };
+    const auto first = pass(0, left, 1U, 50U, true);
+    const auto second = pass(1, right, 1U, 50U, true);
+    // In the margin of the left block, beyond its border.
+    const std::uint64_t end = 100U + (later > 100U ? 50U : 400U);
+    EXPECT_EQ(pass(0, moved(with(left, right[2])), 100U, end, true)[3], first[3]);
+    EXPECT_EQ(pass(1, moved(right), 100U + later, 500U, true), second) << "began " << later;
+    EXPECT_EQ(registry.size(), left.size() + right.size());
+  }
+}
+
 TEST(PlantRegistry, AClaimLapsesLongAfterItsBlockWasSeen) {
   constexpr std::uint64_t kThen = 5'000'000'000U;
   PlantRegistry registry;

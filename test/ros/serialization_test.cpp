@@ -65,6 +65,7 @@ Block fieldBlock() {
   block.cloud = someCloud(5U);
   block.ground = someGround();
   block.ground_points = 77U;
+  block.feet = someCloud(3U);
   return block;
 }
 
@@ -169,6 +170,7 @@ TEST(Wire, BringsABlockBackWhole) {
   expectSame(sent.cloud, got.cloud);
   expectSame(sent.ground, got.ground);
   EXPECT_EQ(sent.ground_points, got.ground_points);
+  expectSame(sent.feet, got.feet);
   expectSame(overTheWire<Block, Block>(Block()).cloud, PointCloud());
 }
 

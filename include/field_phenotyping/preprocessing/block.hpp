@@ -56,6 +56,7 @@ struct Block {
   PointCloud cloud;                  ///< above-ground points only
   GroundModel ground;                ///< in the local frame of `cloud`
   std::uint32_t ground_points = 0U;  ///< soil points that were taken out
+  PointCloud feet;                   ///< those beside what stands there: its foot may be among them
 };
 
 }  // namespace field_phenotyping

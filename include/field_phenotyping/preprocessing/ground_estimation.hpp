@@ -26,4 +26,10 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
 std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundModel& ground,
                                          const PreprocessingParameters& parameters);
 
+/// Marks the soil points (1) right beside what stands on the soil: some of them are its lowest
+/// points, which are told from soil once its surface is known.
+/// @param is_ground of classifyGround()
+std::vector<std::uint8_t> soilAtFeet(const PointCloud& cloud, const GroundModel& ground,
+                                     const std::vector<std::uint8_t>& is_ground);
+
 }  // namespace field_phenotyping

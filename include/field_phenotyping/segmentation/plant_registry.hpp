@@ -117,6 +117,8 @@ class PlantRegistry {
   bool isInDoubt(std::int32_t id) const;
   void giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases, const std::vector<Known>& near,
                         std::uint64_t began_ns, const Eigen::Vector2d& shift, Matches& matches);
+  void giveOthersOlderIdsBack(const std::vector<Known>& near, std::uint64_t began_ns,
+                              const Eigen::Vector2d& shift, Matches& matches);
   const Claims* claimsOn(std::int32_t id) const;
   bool isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
                         const std::vector<Known>& near, std::vector<bool>& given);

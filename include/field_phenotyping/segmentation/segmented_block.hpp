@@ -44,13 +44,15 @@ struct Plant {
 };
 
 /// A block whose points have been given to plants. `cloud` holds the block's points reordered:
-/// plant by plant, stem points first, what belongs to no plant last. Immutable once handed on.
+/// plant by plant, stem points first, what belongs to no plant last; and the stems' lowest points,
+/// out of the block's `feet`. Immutable once handed on.
 struct SegmentedBlock {
   BlockHeader header;
   PointCloud cloud;
   GroundModel ground;
   std::vector<Plant> plants;
-  std::vector<std::uint32_t> source_index;  ///< of each point, in the cloud of the `Block`
+  /// Of each point, in the `Block`: of its cloud, or, counted on from its size, of its `feet`.
+  std::vector<std::uint32_t> source_index;
 };
 
 }  // namespace field_phenotyping

@@ -1,0 +1,162 @@
+#include "field_phenotyping/segmentation/foot_points.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <optional>
+#include <tuple>
+#include <utility>
+
+#include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/segmentation/stem_foot.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+constexpr float kPi = 3.14159265F;
+constexpr float kReach = 0.035F;       // [m] of a foot about the stem's surface
+constexpr float kDeviation = 1.4826F;  // standard deviation over median absolute deviation
+
+float normalDensity(float off, float stddev) {
+  return std::exp(-0.5F * off * off / (stddev * stddev)) / (std::sqrt(2.0F * kPi) * stddev);
+}
+
+/// Of a normal deviate of standard deviation 1.
+float shareBelow(float value) {
+  return 0.5F * std::erfc(-value / std::sqrt(2.0F));
+}
+
+/// Middle and standard deviation of values of which a few are wild. There must be some.
+struct Spread {
+  float middle;
+  float stddev;
+};
+
+Spread spreadOf(const std::vector<float>& values, float least) {
+  const float middle = medianOf(values);
+  std::vector<float> off;
+  off.reserve(values.size());
+  for (const float value : values) off.push_back(std::abs(value - middle));
+  return {middle, std::max(least, kDeviation * medianOf(std::move(off)))};
+}
+
+/// A stem's point not far above the soil.
+struct LowPoint {
+  float height;  // above the soil [m]
+  float off;     // outside the axis' radius there [m]
+};
+
+constexpr float kLowest = 0.03F;  // [m] above the soil: below it soil has been taken out
+constexpr float kHighest = 0.50F;
+
+/// What is known of a stem just above the soil.
+struct LowStem {
+  float radius;   // [m]
+  float stddev;   // of its points about the surface [m]
+  float density;  // of its points along the axis [1/m]
+};
+
+/// From its lowest points: those of the lowest decimetre, and of more where they are few.
+/// @param radius of the axis at the soil [m]
+std::optional<LowStem> lowStemOf(std::vector<LowPoint> points, float radius) {
+  constexpr std::size_t kFew = 6U;
+  constexpr std::size_t kEnough = 12U;
+  constexpr float kLow = 0.15F;           // [m]
+  constexpr float kLeastNoise = 0.0015F;  // [m]
+  if (points.size() < kFew) return std::nullopt;
+  std::sort(points.begin(), points.end(), [](const LowPoint& a, const LowPoint& b) {
+    return std::tie(a.height, a.off) < std::tie(b.height, b.off);
+  });
+  std::vector<float> off;
+  float highest = kLow;
+  for (const LowPoint& point : points) {
+    if (point.height > kLow && off.size() >= kEnough) break;
+    off.push_back(point.off);
+    highest = std::max(highest, point.height);
+  }
+  const Spread spread = spreadOf(off, kLeastNoise);
+  return LowStem{radius + spread.middle, spread.stddev,
+                 static_cast<float>(off.size()) / (highest - kLowest)};
+}
+
+/// A point near a foot.
+struct Candidate {
+  std::uint32_t index;  // in the block's feet
+  float distance;       // from the stem's axis [m]
+  float height;         // above the soil model [m]
+};
+
+/// The soil round a foot, from the candidates well outside the stem.
+struct NearSoil {
+  float height;   // above the soil model [m]
+  float stddev;   // [m]
+  float density;  // of its points [1/m^2]
+};
+
+NearSoil soilAround(const std::vector<Candidate>& candidates, const LowStem& stem, float stddev) {
+  constexpr std::size_t kFew = 8U;
+  constexpr float kClear = 3.0F;          // standard deviations from the stem's surface
+  constexpr float kLeastRough = 0.0015F;  // [m]
+  const float inner = stem.radius + kClear * stem.stddev;
+  const float outer = stem.radius + kReach;
+  std::vector<float> heights;
+  for (const Candidate& candidate : candidates) {
+    if (candidate.distance > inner && candidate.distance < outer)
+      heights.push_back(candidate.height);
+  }
+  const float area = kPi * std::max(outer * outer - inner * inner, stem.radius * stem.radius);
+  const auto count = static_cast<float>(std::max(heights.size(), kFew));
+  if (heights.size() < kFew) return {0.0F, stddev, count / area};
+  const Spread spread = spreadOf(heights, kLeastRough);
+  return {spread.middle, spread.stddev, count / area};
+}
+
+}  // namespace
+
+std::vector<std::int32_t> findFootPoints(const Block& block, const std::vector<StemAxis>& axes,
+                                         const std::vector<std::int32_t>& stem_owner) {
+  std::vector<std::int32_t> owner(block.feet.size(), -1);
+  if (block.feet.empty()) return owner;
+  std::vector<std::vector<LowPoint>> low(axes.size());
+  for (std::size_t i = 0; i < stem_owner.size(); ++i) {
+    if (stem_owner[i] < 0) continue;
+    const Eigen::Vector3f& p = block.cloud.points[i];
+    const float height = block.ground.heightAbove(p);
+    if (height < kLowest || height > kHighest) continue;
+    const auto stem = static_cast<std::size_t>(stem_owner[i]);
+    const StemAxis::Projection at = axes[stem].project(p);
+    low[stem].push_back({height, at.distance - at.radius});
+  }
+  const NeighborGrid grid(block.feet.points, kReach);
+  std::vector<float> best(block.feet.size(), 0.0F);
+  std::vector<Candidate> candidates;
+  for (std::size_t s = 0; s < axes.size(); ++s) {
+    const Eigen::Vector3f base = baseOf(block, axes[s]);
+    const std::optional<LowStem> stem = lowStemOf(std::move(low[s]), axes[s].project(base).radius);
+    if (!stem) continue;
+    candidates.clear();
+    grid.forEachWithin(base, stem->radius + kReach, [&](std::uint32_t i, float) {
+      const Eigen::Vector3f& p = block.feet.points[i];
+      candidates.push_back({i, axes[s].project(p).distance, block.ground.heightAbove(p)});
+    });
+    const NearSoil soil = soilAround(candidates, *stem, block.ground.stddevAt(base.x(), base.y()));
+    for (const Candidate& candidate : candidates) {
+      // Points a volume: [1/m^3].
+      const float outside = (candidate.distance - stem->radius) / stem->stddev;
+      const float height = (candidate.height - soil.height) / soil.stddev;
+      const float of_stem = stem->density * shareBelow(height) *
+                            normalDensity(candidate.distance - stem->radius, stem->stddev) /
+                            (2.0F * kPi * std::max(candidate.distance, stem->radius));
+      const float of_soil = soil.density * shareBelow(outside) *
+                            normalDensity(candidate.height - soil.height, soil.stddev);
+      if (of_stem > of_soil && of_stem > best[candidate.index]) {
+        best[candidate.index] = of_stem;
+        owner[candidate.index] = static_cast<std::int32_t>(s);
+      }
+    }
+  }
+  return owner;
+}
+
+}  // namespace field_phenotyping
