@@ -106,7 +106,7 @@ bool PlantRegistry::isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& bas
                                      const std::vector<Known>& near, std::vector<bool>& given) {
   for (std::size_t e = 0; e < near.size(); ++e) {
     const Known& other = near[e];
-    if (given[e] || !((base - other.base).norm() < match_radius_)) continue;
+    if (given[e] || !((base - other.now).norm() < match_radius_)) continue;
     const Claims* claims = claimsOn(other.id);
     if (claims == nullptr || claims->seen.count(id) > 0U) continue;
     // The older id stays, unless the other block has spoken for the last time.
@@ -142,7 +142,7 @@ std::vector<PlantRegistry::Known> PlantRegistry::findNear(const std::vector<Eige
       for (const Entry& entry : cell->second) {
         const Eigen::Vector2d base = corner + entry.offset.cast<double>();
         if ((base.array() < low.array()).any() || (base.array() > high.array()).any()) continue;
-        found.push_back({cell->first, entry.id, entry.stamp_ns, base});
+        found.push_back({cell->first, entry.id, entry.stamp_ns, base, base});
       }
     }
   }
@@ -150,14 +150,30 @@ std::vector<PlantRegistry::Known> PlantRegistry::findNear(const std::vector<Eige
 }
 
 /// The map moves as a whole: what was found for the block before is to be expected for this one.
-PlantRegistry::ExpectedShift PlantRegistry::expectedShift(std::uint64_t stamp_ns) const {
+bool PlantRegistry::lastShiftHolds(std::uint64_t stamp_ns) const {
   constexpr std::uint64_t kHolds = 60'000'000'000U;  // [ns]
-  constexpr double kAnything = 0.05;                 // [m] standard deviations
-  constexpr double kSimilar = 0.02;
   const std::uint64_t apart = stamp_ns > last_shift_.stamp_ns ? stamp_ns - last_shift_.stamp_ns
                                                               : last_shift_.stamp_ns - stamp_ns;
-  if (last_shift_.stamp_ns == 0U || apart > kHolds) return {Eigen::Vector2d::Zero(), kAnything};
+  return last_shift_.stamp_ns != 0U && apart <= kHolds;
+}
+
+PlantRegistry::ExpectedShift PlantRegistry::expectedShift(std::uint64_t stamp_ns) const {
+  constexpr double kAnything = 0.05;  // [m] standard deviations
+  constexpr double kSimilar = 0.02;
+  if (!lastShiftHolds(stamp_ns)) return {Eigen::Vector2d::Zero(), kAnything};
   return {last_shift_.shift, kSimilar};
+}
+
+/// @param since_known whether plants are near that were seen since the last shift that holds
+void PlantRegistry::noteShift(const BlockHeader& header, const Eigen::Vector2d& shift,
+                              bool since_known) {
+  constexpr double kSame = 0.03;  // [m]
+  if (lastShiftHolds(header.stamp_ns) && (shift - last_shift_.shift).norm() < kSame) {
+    last_shift_ = {shift, header.stamp_ns, std::min(last_shift_.began_ns, header.began_ns)};
+    return;
+  }
+  const Eigen::Vector2d before = since_known ? last_shift_.shift : Eigen::Vector2d(0.0, 0.0);
+  last_shift_ = {shift - before, header.stamp_ns, header.began_ns};
 }
 
 /// Every difference of a base and a known one is tried; nothing where none is convincing.
@@ -211,7 +227,7 @@ bool PlantRegistry::isInDoubt(std::int32_t id) const {
 /// Plants that were named anew before it was known how the map has moved have their older ids back.
 void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
                                      const std::vector<Known>& near, std::uint64_t began_ns,
-                                     const Eigen::Vector2d& shift, Matches& matches) {
+                                     Matches& matches) {
   for (std::size_t p = 0; p < bases.size(); ++p) {
     std::size_t& match = matches.of_plant[p];
     if (match == kNone || !isInDoubt(near[match].id)) continue;
@@ -219,7 +235,7 @@ void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
     std::size_t older = kNone;
     for (std::size_t e = 0; e < near.size(); ++e) {
       if (matches.given[e] || near[e].stamp_ns >= began_ns) continue;
-      const double distance = (bases[p] - near[e].base - shift).norm();
+      const double distance = (bases[p] - near[e].now).norm();
       if (!(distance < nearest)) continue;
       nearest = distance;
       older = e;
@@ -232,7 +248,7 @@ void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
   for (std::size_t e = 0; e < near.size(); ++e) {
     if (matches.given[e] || !isInDoubt(near[e].id)) continue;
     const bool of_another = std::any_of(bases.begin(), bases.end(), [&](const auto& base) {
-      return (base - near[e].base).norm() < match_radius_;
+      return (base - near[e].now).norm() < match_radius_;
     });
     if (!of_another) continue;
     takeOut(near[e]);
@@ -243,17 +259,15 @@ void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
 
 /// The same for plants of another block, that saw too little: it hears of them when it reports
 /// next.
-void PlantRegistry::giveOthersOlderIdsBack(const std::vector<Known>& near, std::uint64_t began_ns,
-                                           const Eigen::Vector2d& shift, Matches& matches) {
-  for (std::size_t e = 0; e < near.size(); ++e) {
-    const Known& doubted = near[e];
-    if (matches.given[e] || in_doubt_.count(doubted.id) == 0U) continue;
+void PlantRegistry::giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64_t began_ns,
+                                           Matches& matches) {
+  for (Known& doubted : near) {
     const auto claimed = claimed_.find(doubted.id);
-    if (claimed == claimed_.end()) continue;
+    if (in_doubt_.count(doubted.id) == 0U || claimed == claimed_.end()) continue;
     for (std::size_t o = 0; o < near.size(); ++o) {
       const Known& older = near[o];
       if (matches.given[o] || older.stamp_ns >= began_ns || claimed_.count(older.id) > 0U) continue;
-      if (!((doubted.base - older.base - shift).norm() < match_radius_)) continue;
+      if (!((doubted.now - older.now).norm() < match_radius_)) continue;
       const BlockIndex block = claimed->second;
       Claims& claims = claims_.at(block);
       std::replace(claims.ids.begin(), claims.ids.end(), doubted.id, older.id);
@@ -263,8 +277,9 @@ void PlantRegistry::giveOthersOlderIdsBack(const std::vector<Known>& near, std::
       in_doubt_.erase(doubted.id);
       takeOut(doubted);
       takeOut(older);
-      file(older.id, doubted.base, doubted.stamp_ns);
-      matches.given[e] = matches.given[o] = true;
+      matches.given[o] = true;
+      doubted.id = older.id;
+      file(doubted.id, doubted.base, doubted.stamp_ns);
       break;
     }
   }
@@ -285,25 +300,34 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   releaseClaims(header);
 
   // 1. What was seen before this pass began is where it was in the map of then.
-  const std::vector<Known> near = findNear(all_bases, kMostShift + match_radius_);
+  std::vector<Known> near = findNear(all_bases, kMostShift + match_radius_);
   const auto seenEarlier = [&](const Known& known) { return known.stamp_ns < header.began_ns; };
+  const bool last_holds = lastShiftHolds(header.stamp_ns);
   std::vector<Eigen::Vector2d> earlier;
-  for (const Known& known : near) {
-    if (seenEarlier(known)) earlier.push_back(known.base);
+  bool since_known = false;
+  for (Known& known : near) {
+    if (!seenEarlier(known)) continue;
+    if (last_holds && known.stamp_ns >= last_shift_.began_ns) {
+      known.now -= last_shift_.shift;  // where it was before the map moved
+      since_known = true;
+    }
+    earlier.push_back(known.now);
   }
   std::sort(earlier.begin(), earlier.end(), isFartherWest);
   Outcome outcome;
   const auto shift = findShift(all_bases, earlier, header.stamp_ns);
-  if (shift && shift->sure) last_shift_ = {shift->shift, header.stamp_ns};
+  const bool sure = shift && shift->sure;
   if (!earlier.empty()) outcome.shift = shift ? shift->shift : expectedShift(header.stamp_ns).shift;
+  if (sure) noteShift(header, shift->shift, since_known);
+  for (Known& known : near) {
+    if (seenEarlier(known)) known.now += outcome.shift;
+  }
 
   // 2. Nearest pairs first, each plant and each entry once.
   std::vector<std::tuple<double, std::size_t, std::size_t>> pairs;  // distance, plant, entry
   for (std::size_t p = 0; p < bases.size(); ++p) {
     for (std::size_t e = 0; e < near.size(); ++e) {
-      Eigen::Vector2d expected = near[e].base;
-      if (seenEarlier(near[e])) expected += outcome.shift;
-      const double distance = (bases[p] - expected).norm();
+      const double distance = (bases[p] - near[e].now).norm();
       if (distance < match_radius_) pairs.emplace_back(distance, p, e);
     }
   }
@@ -317,10 +341,9 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     given[e] = true;
   }
 
-  const bool sure = shift && shift->sure;
   if (sure) {
-    giveOlderIdsBack(bases, near, header.began_ns, outcome.shift, matches);
-    giveOthersOlderIdsBack(near, header.began_ns, outcome.shift, matches);
+    giveOlderIdsBack(bases, near, header.began_ns, matches);
+    giveOthersOlderIdsBack(near, header.began_ns, matches);
   }
   const auto mayBeAnEarlierOne = [&](const Eigen::Vector2d& base) {
     return std::any_of(near.begin(), near.end(), [&](const Known& known) {
@@ -365,10 +388,9 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   if (!sure || !header.final) return outcome;
   for (std::size_t e = 0; e < near.size(); ++e) {
     if (given[e] || !seenEarlier(near[e])) continue;
-    const Eigen::Vector2d base = near[e].base + shift->shift;
-    if (!header.holds(base.x(), base.y())) continue;
+    if (!header.holds(near[e].now.x(), near[e].now.y())) continue;
     takeOut(near[e]);
-    file(near[e].id, base, header.stamp_ns);
+    file(near[e].id, near[e].now, header.stamp_ns);
   }
   return outcome;
 }

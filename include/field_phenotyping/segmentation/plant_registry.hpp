@@ -79,6 +79,7 @@ class PlantRegistry {
     std::int32_t id = -1;
     std::uint64_t stamp_ns = 0U;
     Eigen::Vector2d base = Eigen::Vector2d::Zero();  // in the map as it was at stamp_ns [m]
+    Eigen::Vector2d now = Eigen::Vector2d::Zero();   // in the map as the block sees it
   };
   static constexpr std::size_t kNone = ~std::size_t{0};
   /// Which of the known plants near a block its own are.
@@ -103,22 +104,24 @@ class PlantRegistry {
   };
   struct LastShift {
     Eigen::Vector2d shift = Eigen::Vector2d::Zero();
-    std::uint64_t stamp_ns = 0U;
+    std::uint64_t stamp_ns = 0U;  // newest scan that showed it
+    std::uint64_t began_ns = 0U;  // what was seen since is in the map of now
   };
 
   std::vector<Known> findNear(const std::vector<Eigen::Vector2d>& bases, double reach) const;
   std::optional<FoundShift> findShift(const std::vector<Eigen::Vector2d>& bases,
                                       const std::vector<Eigen::Vector2d>& earlier,
                                       std::uint64_t stamp_ns) const;
+  bool lastShiftHolds(std::uint64_t stamp_ns) const;
   ExpectedShift expectedShift(std::uint64_t stamp_ns) const;
+  void noteShift(const BlockHeader& header, const Eigen::Vector2d& shift, bool since_known);
   void file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns);
   void takeOut(const Known& known);
   void releaseClaims(const BlockHeader& header);
   bool isInDoubt(std::int32_t id) const;
   void giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases, const std::vector<Known>& near,
-                        std::uint64_t began_ns, const Eigen::Vector2d& shift, Matches& matches);
-  void giveOthersOlderIdsBack(const std::vector<Known>& near, std::uint64_t began_ns,
-                              const Eigen::Vector2d& shift, Matches& matches);
+                        std::uint64_t began_ns, Matches& matches);
+  void giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64_t began_ns, Matches& matches);
   const Claims* claimsOn(std::int32_t id) const;
   bool isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
                         const std::vector<Known>& near, std::vector<bool>& given);
