@@ -27,6 +27,26 @@ std::vector<const Phenotype*> trusted(const std::vector<Phenotype>& passes, Trai
   return clear.empty() ? all : clear;
 }
 
+/// The passes that saw a plant's top. Leaves and the edge of the sensor's view may hide it in one
+/// pass by far more than its standard deviation says; what another has seen is there.
+std::vector<Phenotype> withTop(const std::vector<Phenotype>& passes) {
+  constexpr double kHidden = 4.0;  // standard deviations, and at least
+  constexpr double kLeast = 0.05;  // [m]
+  const Phenotype* highest = nullptr;
+  for (const Phenotype& pass : passes) {
+    if (!counts(pass.height)) continue;
+    if (highest == nullptr || pass.height.value > highest->height.value) highest = &pass;
+  }
+  std::vector<Phenotype> seen;
+  for (const Phenotype& pass : passes) {
+    if (!counts(pass.height)) continue;
+    const double stddev = std::hypot(pass.height.stddev, highest->height.stddev);
+    const double below = highest->height.value - pass.height.value;
+    if (below <= std::max(kHidden * stddev, kLeast)) seen.push_back(pass);
+  }
+  return seen;
+}
+
 Trait fuse(const std::vector<const Phenotype*>& passes, Trait Phenotype::*trait) {
   std::vector<Trait> traits;
   for (const Phenotype* pass : passes) traits.push_back(pass->*trait);
@@ -71,7 +91,8 @@ Phenotype fusePasses(const std::vector<Phenotype>& passes) {
   fused.passes = static_cast<std::uint32_t>(passes.size());
   if (passes.size() < 2U) return fused;
 
-  const auto heights = trusted(passes, &Phenotype::height, kDoubtfulHeight);
+  const std::vector<Phenotype> with_top = withTop(passes);
+  const auto heights = trusted(with_top, &Phenotype::height, kDoubtfulHeight);
   if (!heights.empty()) fused.height = fuse(heights, &Phenotype::height);
 
   const auto diameters = trusted(passes, &Phenotype::stem_diameter, kDoubtfulDiameter);
