@@ -102,6 +102,12 @@ def _two(trait, scale):
     return text
 
 
+def _median(values):
+    known = np.asarray(values, float)
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) if known.size else float('nan')
+
+
 def _score_passes(field, folder):
     run = evaluation.Run(folder)
     path = os.path.join(field, 'truth.csv')
@@ -134,8 +140,8 @@ def _score_passes(field, folder):
         one = [single[plant][-1][trait][1] for plant in run.ids[ours][both]]
         figures[trait + '_coverage'] = scores['coverage']
         figures[trait + '_rmse'] = scores['rmse']
-        figures[trait + '_stddev_fused'] = float(np.nanmedian(stddev))
-        figures[trait + '_stddev_one'] = float(np.nanmedian(one))
+        figures[trait + '_stddev_fused'] = _median(stddev)
+        figures[trait + '_stddev_one'] = _median(one)
     return figures
 
 

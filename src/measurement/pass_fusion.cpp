@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 namespace field_phenotyping {
 namespace {
@@ -27,23 +28,18 @@ std::vector<const Phenotype*> trusted(const std::vector<Phenotype>& passes, Trai
   return clear.empty() ? all : clear;
 }
 
-/// The passes that saw a plant's top. Leaves and the edge of the sensor's view may hide it in one
-/// pass by far more than its standard deviation says; what another has seen is there.
+/// The passes that saw a plant's upper part. The edge of the sensor's view may cut it off in one
+/// pass; what another has seen is there. Smaller differences may as well be a neighbour's leaf.
 std::vector<Phenotype> withTop(const std::vector<Phenotype>& passes) {
-  constexpr double kHidden = 4.0;  // standard deviations, and at least
-  constexpr double kLeast = 0.05;  // [m]
-  const Phenotype* highest = nullptr;
+  constexpr double kCutOff = 0.2;  // of the height
+  double highest = 0.0;
   for (const Phenotype& pass : passes) {
-    if (!counts(pass.height)) continue;
-    if (highest == nullptr || pass.height.value > highest->height.value) highest = &pass;
+    if (counts(pass.height)) highest = std::max(highest, pass.height.value);
   }
   std::vector<Phenotype> seen;
-  for (const Phenotype& pass : passes) {
-    if (!counts(pass.height)) continue;
-    const double stddev = std::hypot(pass.height.stddev, highest->height.stddev);
-    const double below = highest->height.value - pass.height.value;
-    if (below <= std::max(kHidden * stddev, kLeast)) seen.push_back(pass);
-  }
+  std::copy_if(passes.begin(), passes.end(), std::back_inserter(seen), [&](const Phenotype& pass) {
+    return counts(pass.height) && pass.height.value >= (1.0 - kCutOff) * highest;
+  });
   return seen;
 }
 

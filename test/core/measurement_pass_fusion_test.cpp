@@ -88,15 +88,16 @@ TEST(FusePasses, DoubtThatAllPassesShareStays) {
   EXPECT_NEAR(fused.stem_diameter.value, 0.0205, 1e-12);
 }
 
-TEST(FusePasses, WhereOnePassHasNotSeenTheTopAnotherHas) {
+TEST(FusePasses, AHeightThatIsCutOffDoesNotCount) {
   const Phenotype fused =
       fusePasses({pass(1.951, 0.020, kTruncated), pass(1.949, 0.020, kTruncated),
                   pass(0.948, 0.020, kOk), pass(std::nan(""), 0.020, kOk)});
   EXPECT_NEAR(fused.height.value, 1.95, 1e-12);
   EXPECT_LT(fused.height.stddev, 0.01);
-  // A few standard deviations are no reason to leave one out.
-  EXPECT_NEAR(fusePasses({pass(1.50, 0.020, kOk), pass(1.53, 0.020, kOk)}).height.value, 1.515,
-              1e-12);
+  // A leaf of a neighbour may be taken for the plant's: which is right cannot be known.
+  const Phenotype unlike = fusePasses({pass(1.5, 0.020, kOk), pass(1.7, 0.020, kOk)});
+  EXPECT_NEAR(unlike.height.value, 1.6, 1e-12);
+  EXPECT_GT(unlike.height.stddev, 0.05);
 }
 
 TEST(FusePasses, OnePassIsAsItWas) {

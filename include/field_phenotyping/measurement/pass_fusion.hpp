@@ -13,9 +13,9 @@ Trait fuseTraits(const std::vector<Trait>& traits);
 
 /// What is known of a plant that was passed several times, from what was measured in each pass.
 /// Where a pass gives a trait with doubt (its flags say so) and another without, the doubtful one
-/// does not count; a flag stays where no pass is free of it. Passes whose height lies far below
-/// another's have not seen the top: theirs does not count. Points are summed, coverage is the best
-/// pass's, place and growth are the newest's.
+/// does not count; a flag stays where no pass is free of it. A pass whose height lies a fifth
+/// below another's has not seen the upper part: it does not count there. Points are summed,
+/// coverage is the best pass's, place and growth are the newest's.
 /// @param passes at least one, oldest first
 /// Thread-safe.
 Phenotype fusePasses(const std::vector<Phenotype>& passes);
