@@ -79,6 +79,7 @@ std::vector<std::vector<Vote>> collectVotes(const Block& block,
 std::vector<Vote> mergeVotes(const std::vector<Vote>& votes, float width) {
   std::vector<Vote> merged;
   KeyMap<std::uint32_t> column_at;
+  column_at.reserve(votes.size());
   for (const Vote& vote : votes) {
     constexpr std::int64_t kHalfRange = 1 << 30;  // columns on either side
     const auto numberOf = [&](float at) {
@@ -98,6 +99,35 @@ std::vector<Vote> mergeVotes(const std::vector<Vote>& votes, float width) {
   return merged;
 }
 
+/// A vote with the weight of all votes round it.
+struct Peak {
+  float density = 0.0F;
+  std::uint32_t vote = 0U;
+};
+
+/// @param grid over the votes' places
+std::vector<Peak> densities(const std::vector<Vote>& votes, const NeighborGrid& grid,
+                            float radius) {
+  const GridView view = grid.view();
+  std::vector<float> weights(votes.size() + kLanes, 0.0F);  // by cells, as the grid has its points
+  for (std::size_t k = 0; k < votes.size(); ++k) weights[k] = votes[view.order[k]].weight;
+  std::vector<Peak> peaks(votes.size());
+  const VectorLanes lanes;
+  for (std::size_t i = 0; i < votes.size(); ++i) {
+    const Place center{view.x[i], view.y[i], view.z[i]};
+    Floats sum{};
+    view.forEachRun(center, center, radius, [&](const GridView::Run& run) {
+      for (std::uint32_t k = run.begin; k < run.end; k += kLanes) {
+        sum += VectorLanes::where(nearAmong(lanes, view, center, radius, run, k),
+                                  loadFloats(&weights[k]));
+      }
+      return true;
+    });
+    peaks[i] = {total(sum), view.order[i]};
+  }
+  return peaks;
+}
+
 /// Peaks of the density of votes in one slab, strongest first.
 void clusterSlab(const std::vector<Vote>& all_votes, int slab, float max_stem_radius,
                  std::vector<Cluster>& clusters) {
@@ -111,18 +141,13 @@ void clusterSlab(const std::vector<Vote>& all_votes, int slab, float max_stem_ra
     flat[i] = {votes[i].position.x(), votes[i].position.y(), 0.0F};
   }
   const NeighborGrid grid(flat, radius);
-  std::vector<float> density(votes.size(), 0.0F);
-  for (std::size_t i = 0; i < votes.size(); ++i) {
-    grid.forEachWithin(flat[i], radius,
-                       [&](std::uint32_t k, float) { density[i] += votes[k].weight; });
-  }
-  std::vector<std::uint32_t> order(votes.size());
-  std::iota(order.begin(), order.end(), 0U);
-  std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return density[a] != density[b] ? density[a] > density[b] : a < b;
+  std::vector<Peak> peaks = densities(votes, grid, radius);
+  std::sort(peaks.begin(), peaks.end(), [](const Peak& a, const Peak& b) {
+    return a.density != b.density ? a.density > b.density : a.vote < b.vote;
   });
   std::vector<std::uint8_t> taken(votes.size(), 0U);
-  for (const std::uint32_t peak : order) {
+  for (const Peak& at : peaks) {
+    const std::uint32_t peak = at.vote;
     if (taken[peak] != 0U) continue;
     Cluster cluster;
     cluster.slab = slab;
