@@ -2,6 +2,7 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <limits>
 #include <map>
@@ -80,7 +81,10 @@ class VoxelLabels {
       for (std::size_t b = 0; b < blocks.size(); ++b) {
         const auto found = said[b].find(tile);
         if (found == said[b].end()) continue;
-        for (const LabelledVoxel& voxel : found->second) {
+        const std::vector<LabelledVoxel>& voxels = found->second;
+        for (std::size_t k = 0; k < voxels.size(); ++k) {
+          if (k + kBatch < voxels.size()) labels->prefetch(voxels[k + kBatch].key);
+          const LabelledVoxel& voxel = voxels[k];
           const auto [label, is_new] = labels->tryEmplace(voxel.key, voxel.label);
           if (!is_new && tile == blocks[b]->header.index) *label = voxel.label;
         }
@@ -88,15 +92,24 @@ class VoxelLabels {
     });
   }
 
-  PointLabel at(const Eigen::Vector3d& p) const {
-    constexpr double kMostDistance = 1e9;  // [m] beyond it tiles cannot be numbered
-    if (!(p.cwiseAbs().maxCoeff() < kMostDistance)) return {};
-    const BlockIndex tile = map_.tileAt(p.x(), p.y());
-    if (!hasVoxelKey(localOf(p, tile), map_.voxelSize())) return {};
-    const auto labels = labels_.find(tile);
-    if (labels == labels_.end()) return {};
-    const PointLabel* label = labels->second.find(keyOf(p, tile));
-    return label == nullptr ? PointLabel{} : *label;
+  /// Of the cloud's points number `begin` ... `end` - 1.
+  void writeLabels(const PointCloud& cloud, std::size_t begin, std::size_t end,
+                   std::vector<PointLabel>& labels) const {
+    std::array<Asked, kBatch> asked;
+    while (begin < end) {
+      const std::size_t count = std::min(kBatch, end - begin);
+      for (std::size_t k = 0; k < count; ++k) {
+        asked[k] = askFor(cloud, begin + k);
+        if (asked[k].labels != nullptr) asked[k].labels->prefetch(asked[k].key);
+      }
+      for (std::size_t k = 0; k < count; ++k) {
+        if (asked[k].labels == nullptr) continue;
+        if (const PointLabel* label = asked[k].labels->find(asked[k].key)) {
+          labels[begin + k] = *label;
+        }
+      }
+      begin += count;
+    }
   }
 
  private:
@@ -119,6 +132,26 @@ class VoxelLabels {
     return labels;
   }
 
+  static constexpr std::size_t kBatch = 32U;  // voxels whose memory is fetched at once
+
+  /// A voxel, and the tile that may know it: none where none can.
+  struct Asked {
+    const KeyMap<PointLabel>* labels = nullptr;
+    VoxelKey key = 0U;
+  };
+  Asked askFor(const PointCloud& cloud, std::size_t i) const {
+    constexpr double kMostDistance = 1e9;  // [m] beyond it tiles cannot be numbered
+    if (!cloud.points[i].allFinite()) return {};
+    const Eigen::Vector3d p = cloud.mapPoint(i);
+    if (!(p.cwiseAbs().maxCoeff() < kMostDistance)) return {};
+    const BlockIndex tile = map_.tileAt(p.x(), p.y());
+    const auto labels = labels_.find(tile);
+    if (labels == labels_.end()) return {};
+    const Eigen::Vector3f local = localOf(p, tile);
+    if (!hasVoxelKey(local, map_.voxelSize())) return {};
+    return {&labels->second, voxelKey(local, map_.voxelSize())};
+  }
+
   Eigen::Vector3f localOf(const Eigen::Vector3d& p, const BlockIndex& tile) const {
     return (p - map_.originOf(tile)).cast<float>();
   }
@@ -138,7 +171,7 @@ struct Tiling {
 
 /// Margins are worked by all tiles that they lie in: tiles begin where fewest cover the cloud, and
 /// are up to half as wide again as asked for where that leaves less to work, and up to twice as
-/// wide where it leaves much less: they are also what processors share. There are no scans to wait
+/// wide where that leaves clearly less: larger ones take more memory. There are no scans to wait
 /// for.
 Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& parameters) {
   const Eigen::Array2d least(parameters.min_x, parameters.min_y);
@@ -161,7 +194,7 @@ Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& paramet
   constexpr int kSteps = 20;
   constexpr double kWide = 1.5;    // of what is asked for
   constexpr double kWidest = 2.0;  // the same
-  constexpr double kMuch = 0.1;    // of the work
+  constexpr double kMuch = 0.03;   // of the work
   double edge = wanted;
   for (int k = 1; k <= kSteps; ++k) {
     const double wider = wanted * (1.0 + (kWidest - 1.0) * k / kSteps);
@@ -241,9 +274,7 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   result.labels.resize(cloud.size());
   constexpr std::size_t kChunk = 8192U;
   parallelChunks(cloud.size(), kChunk, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      if (cloud.points[i].allFinite()) result.labels[i] = voxel_labels.at(cloud.mapPoint(i));
-    }
+    voxel_labels.writeLabels(cloud, begin, end, result.labels);
   });
   result.times = bookkeeper.times();
   result.times[0].use = preprocessing_device.use();

@@ -5,6 +5,8 @@
 #include <numeric>
 #include <stdexcept>
 
+#include "field_phenotyping/common/parallel.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -54,11 +56,14 @@ NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cel
   if (points.empty()) return;
   std::vector<std::uint64_t> row_of(points.size());
   std::vector<int> cell_x(points.size());
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    cell_x[i] = geometry_.cellOf(points[i].x(), 0);
-    row_of[i] =
-        geometry_.rowOf(geometry_.cellOf(points[i].y(), 1), geometry_.cellOf(points[i].z(), 2));
-  }
+  constexpr std::size_t kChunk = 16384U;
+  parallelChunks(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      cell_x[i] = geometry_.cellOf(points[i].x(), 0);
+      row_of[i] =
+          geometry_.rowOf(geometry_.cellOf(points[i].y(), 1), geometry_.cellOf(points[i].z(), 2));
+    }
+  });
 
   // By row, then by cell; ties by source index, so that the order depends on the points alone.
   const auto before = [&](std::uint32_t a, std::uint32_t b) {
@@ -87,13 +92,15 @@ NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cel
   }
   cell_x_.resize(points.size());
   for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(points.size() + kLanes);
-  for (std::size_t k = 0; k < order_.size(); ++k) {
-    const Eigen::Vector3f& point = points[order_[k]];
-    cell_x_[k] = cell_x[order_[k]];
-    x_[k] = point.x();
-    y_[k] = point.y();
-    z_[k] = point.z();
-  }
+  parallelChunks(order_.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) {
+      const Eigen::Vector3f& point = points[order_[k]];
+      cell_x_[k] = cell_x[order_[k]];
+      x_[k] = point.x();
+      y_[k] = point.y();
+      z_[k] = point.z();
+    }
+  });
 }
 
 }  // namespace field_phenotyping

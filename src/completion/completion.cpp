@@ -40,6 +40,15 @@ CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
   CompletedBlock completed;
   completed.synthetic.origin = segmented->cloud.origin;
   completed.synthetic_span.reserve(plants.size());
+  std::size_t points = 0U;
+  std::size_t colors = 0U;
+  for (const CompletedStem& stem : stems) {
+    points += stem.points.size();
+    colors += stem.colors.size();
+  }
+  completed.synthetic.points.reserve(points);
+  completed.synthetic.colors.reserve(colors);
+  completed.synthetic_stddev.reserve(points);
   for (CompletedStem& stem : stems) {
     PointCloud& cloud = completed.synthetic;
     const auto begin = static_cast<std::uint32_t>(cloud.size());

@@ -1,6 +1,7 @@
 #include "field_phenotyping/segmentation/local_shape.hpp"
 
 #include <algorithm>
+#include <array>
 
 #include "common/gpu_streams.hpp"
 #include "common/xyz.hpp"
@@ -39,14 +40,62 @@ class GrowingTile {
   std::vector<float> z_;
 };
 
+/// Shapes of kLanes points at once.
+class ShapeBatch {
+ public:
+  explicit ShapeBatch(std::vector<LocalShape>& shapes) : shapes_(shapes) {}
+
+  /// @param i the point
+  void add(std::size_t i, const Moments& moments) {
+    shapes_[i].neighbors = static_cast<std::uint32_t>(moments.count);
+    if (moments.count < kLeastShapePoints) return;
+    points_[filled_] = i;
+    const std::array<float, kNumbers> numbers{
+        moments.count,      moments.sum.x,      moments.sum.y,      moments.sum.z,
+        moments.squares.xx, moments.squares.yy, moments.squares.zz, moments.squares.xy,
+        moments.squares.yz, moments.squares.zx};
+    for (std::size_t k = 0; k < kNumbers; ++k) numbers_[k][filled_] = numbers[k];
+    if (++filled_ == kLanes) flush();
+  }
+
+  /// To be called at the end.
+  void flush() {
+    const std::array<Floats, kNumbers>& n = numbers_;
+    const ShapeOfAxes<Floats> found = shapeOfAxes<VectorLanes>(principal_axes::covarianceOf<Floats>(
+        n[0], {n[1], n[2], n[3]}, {n[4], n[5], n[6], n[7], n[8], n[9]}));
+    for (std::size_t lane = 0; lane < filled_; ++lane) {
+      if (!(found.known[lane] > 0.0F)) continue;
+      LocalShape& shape = shapes_[points_[lane]];
+      shape.direction = {found.direction.x[lane], found.direction.y[lane], found.direction.z[lane]};
+      shape.normal = {found.normal.x[lane], found.normal.y[lane], found.normal.z[lane]};
+      shape.linearity = found.linearity[lane];
+      shape.curvature = found.curvature[lane];
+    }
+    filled_ = 0U;
+  }
+
+ private:
+  static constexpr std::size_t kNumbers = 10U;  // that Moments are made of
+
+  std::vector<LocalShape>& shapes_;
+  std::array<std::size_t, kLanes> points_{};
+  std::array<Floats, kNumbers> numbers_{};
+  std::size_t filled_ = 0U;
+};
+
 }  // namespace
 
 LocalShape computeLocalShape(const Eigen::Vector3f& point, const NeighborGrid& grid, float radius) {
-  Moments moments;
-  grid.forEachOffsetWithin(point, radius, [&](std::uint32_t, const Eigen::Vector3f& offset, float) {
-    moments.add(NeighborGrid::placeOf(offset));
+  const Place place = NeighborGrid::placeOf(point);
+  const GridView view = grid.view();
+  const VectorLanes lanes;
+  LaneMoments<VectorLanes> sums;
+  view.forEachRun(place, place, radius, [&](const GridView::Run& run) {
+    sums.add(lanes, view.x + run.begin, view.y + run.begin, view.z + run.begin, run.end - run.begin,
+             place, radius);
+    return true;
   });
-  return toLocalShape(localShapeOf(moments));
+  return toLocalShape(localShapeOf(sums.total(lanes)));
 }
 
 std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& points,
@@ -65,12 +114,12 @@ std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& p
   constexpr std::size_t kChunk = 1024U;
   parallelChunks(view.size, kChunk, [&](std::size_t begin, std::size_t end) {
     GrowingTile tile;
-    localShapesOfChunk(
+    ShapeBatch batch(shapes);
+    shapeMomentsOfChunk(
         SerialTeam(), view, static_cast<std::uint32_t>(begin), static_cast<std::uint32_t>(end),
         radius, [&](std::uint32_t candidates) { return tile.of(candidates); },
-        [&](std::uint32_t k, const LocalShapeNumbers& shape) {
-          shapes[view.order[k]] = toLocalShape(shape);
-        });
+        [&](std::uint32_t k, const Moments& moments) { batch.add(view.order[k], moments); });
+    batch.flush();
   });
   return shapes;
 }

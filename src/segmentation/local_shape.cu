@@ -15,8 +15,8 @@ struct SharedTile {
 struct StoreInSourceOrder {
   const std::uint32_t* order;
   LocalShapeNumbers* shapes;
-  FIELD_PHENOTYPING_HD void operator()(std::uint32_t k, const LocalShapeNumbers& shape) const {
-    shapes[order[k]] = shape;
+  FIELD_PHENOTYPING_HD void operator()(std::uint32_t k, const Moments& moments) const {
+    shapes[order[k]] = localShapeOf(moments);
   }
 };
 
@@ -30,7 +30,7 @@ __global__ void shapePoints(GridView grid, std::uint32_t chunk, float radius,
   __shared__ float z[kTile + kLanes];
   const std::uint32_t begin = blockIdx.x * chunk;
   const std::uint32_t end = grid.size - begin < chunk ? grid.size : begin + chunk;
-  localShapesOfChunk(GpuTeam(), grid, begin, end, radius, SharedTile{{x, y, z, kTile}},
+  shapeMomentsOfChunk(GpuTeam(), grid, begin, end, radius, SharedTile{{x, y, z, kTile}},
                      StoreInSourceOrder{grid.order, shapes});
 }
 

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <utility>
 
+#include "field_phenotyping/common/sorted_indices.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -48,19 +50,11 @@ std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis
   for (int k = 0; k < steps; ++k) {
     const float part = axis.length() / static_cast<float>(steps);
     const Eigen::Vector3f begin = axis.pointAt(part * static_cast<float>(k));
-    const Eigen::Vector3f chord = axis.pointAt(part * static_cast<float>(k + 1)) - begin;
-    const float squared_chord = chord.squaredNorm();
-    scene.grid.forEachNearBox(begin.cwiseMin(begin + chord), begin.cwiseMax(begin + chord), radius,
-                              [&](std::uint32_t i, const Eigen::Vector3f& point) {
-                                const Eigen::Vector3f away = point - begin;
-                                const float share =
-                                    std::clamp(chord.dot(away) / squared_chord, 0.0F, 1.0F);
-                                if ((away - share * chord).squaredNorm() <= radius * radius)
-                                  found.push_back(i);
-                              });
+    const Eigen::Vector3f end = axis.pointAt(part * static_cast<float>(k + 1));
+    scene.grid.forEachWithinOfLine(begin, end, radius,
+                                   [&](std::uint32_t i) { found.push_back(i); });
   }
-  std::sort(found.begin(), found.end());
-  found.erase(std::unique(found.begin(), found.end()), found.end());
+  sortUnique(found);
   return found;
 }
 
@@ -136,8 +130,7 @@ GrowthRegion growRegion(const StemScene& scene, const Eigen::Vector3f& start,
     const float t_proj = (s_k - start).dot(line) / line.squaredNorm();
     if (t_proj < 0.0F || t_proj > 1.0F) break;
   }
-  std::sort(region.points.begin(), region.points.end());
-  region.points.erase(std::unique(region.points.begin(), region.points.end()), region.points.end());
+  sortUnique(region.points);
   return region;
 }
 

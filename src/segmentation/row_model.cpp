@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "field_phenotyping/common/log_sum.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -125,17 +126,16 @@ std::vector<RowModel::Fit> RowModel::Fit::likely(const std::vector<PlantPlace>& 
     std::complex<double> sum;
     double squared;
   };
-  std::vector<Rough> all;
-  all.reserve(turns * (steps + 1U));
-  // Each place's phase at a spacing, and by how much it turns from one spacing to the next.
-  const std::size_t count = places.size();
-  std::vector<double> real(count);
-  std::vector<double> imaginary(count);
-  std::vector<double> turn_real(count);
-  std::vector<double> turn_imaginary(count);
-  for (std::size_t i = 0; i < turns; ++i) {
+  std::vector<Rough> all(turns * (steps + 1U));
+  parallelFor(turns, [&](std::size_t i) {
     Fit fit;
     fit.angle = M_PI * static_cast<double>(i) / static_cast<double>(turns);
+    // Each place's phase at a spacing, and by how much it turns from one spacing to the next.
+    const std::size_t count = places.size();
+    std::vector<double> real(count);
+    std::vector<double> imaginary(count);
+    std::vector<double> turn_real(count);
+    std::vector<double> turn_imaginary(count);
     for (std::size_t p = 0; p < count; ++p) {
       const double phase = 2.0 * M_PI * fit.normal().dot(places[p].position);
       real[p] = places[p].weight * std::cos(phase * lowest);
@@ -154,10 +154,10 @@ std::vector<RowModel::Fit> RowModel::Fit::likely(const std::vector<PlantPlace>& 
         imaginary[p] = real[p] * turn_imaginary[p] + imaginary[p] * turn_real[p];
         real[p] = next;
       }
-      all.push_back(
-          {fit, {sum_real, sum_imaginary}, sum_real * sum_real + sum_imaginary * sum_imaginary});
+      all[i * (steps + 1U) + k] = {
+          fit, {sum_real, sum_imaginary}, sum_real * sum_real + sum_imaginary * sum_imaginary};
     }
-  }
+  });
   constexpr std::size_t kTried = 60U;
   const std::size_t tried = std::min(kTried, all.size());
   std::partial_sort(all.begin(), all.begin() + static_cast<std::ptrdiff_t>(tried), all.end(),
@@ -195,8 +195,8 @@ std::optional<RowModel> RowModel::find(const std::vector<PlantPlace>& places,
   const Range spacings = hinted(hints.row_spacing, kClosest, kWidest);
   std::vector<Fit> starts = Fit::likely(centred, reach, spacings);
   Fit best;
-  for (Fit& fit : starts) {
-    fit.refine(centred, spacings);
+  parallelFor(starts.size(), [&](std::size_t k) { starts[k].refine(centred, spacings); });
+  for (const Fit& fit : starts) {
     if (fit.evidence > best.evidence) best = fit;
   }
   // So many directions and spacings fit some places by chance; fewer do when one is given.

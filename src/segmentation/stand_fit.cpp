@@ -40,9 +40,19 @@ double canopyAlong(const GrowthScene& scene, const StemAxis& axis, float plant_h
   constexpr float kHighest = 2.0F;    // plant_height
   constexpr std::size_t kStray = 4U;  // points above it
   const StemAxis whole = axis.extendedBy(std::max(kHighest * plant_height - axis.length(), 0.0F));
+  // Downwards, stretch by stretch, until there are enough.
+  const int steps = std::max(static_cast<int>(std::ceil(whole.length() / kCanopy)), 1);
+  const float step = whole.length() / static_cast<float>(steps);
   std::vector<float> along;
-  for (const std::uint32_t i : pointsAround(scene, whole, kCanopy)) {
-    along.push_back(whole.project(scene.points[i]).arc_length);
+  for (int k = steps - 1; k >= 0 && along.size() <= kStray; --k) {
+    const float low = step * static_cast<float>(k);
+    const float high = step * static_cast<float>(k + 1);
+    scene.grid.forEachWithinOfLine(whole.pointAt(low), whole.pointAt(high), kCanopy,
+                                   [&](std::uint32_t i) {
+                                     const float at = whole.project(scene.points[i]).arc_length;
+                                     if ((k == 0 || at >= low) && (k + 1 == steps || at < high))
+                                       along.push_back(at);
+                                   });
   }
   if (along.size() <= kStray) return static_cast<double>(axis.length());
   const auto high = along.begin() + kStray;

@@ -18,11 +18,24 @@ StemAxis::StemAxis(std::vector<Node> nodes) : nodes_(std::move(nodes)) {
     directions_.emplace_back(step / (arc_lengths_[i] - arc_lengths_[i - 1]));
     rising_ = rising_ && nodes_[i].position.z() > nodes_[i - 1].position.z();
   }
+  const float rise = nodes_.back().position.z() - nodes_.front().position.z();
+  if (rising_) segments_per_metre_ = static_cast<float>(directions_.size()) / rise;
 }
 
 std::size_t StemAxis::segmentAt(float s) const {
   const auto above = std::upper_bound(arc_lengths_.begin() + 1, arc_lengths_.end() - 1, s);
   return static_cast<std::size_t>(above - arc_lengths_.begin()) - 1U;
+}
+
+std::size_t StemAxis::segmentAtHeight(float z) const {
+  // Nodes are about as far from one another, so that the first guess is near.
+  const std::size_t last = nodes_.size() - 2U;
+  const float guess = (z - nodes_.front().position.z()) * segments_per_metre_;
+  std::size_t i =
+      guess > 0.0F ? static_cast<std::size_t>(std::min(guess, static_cast<float>(last))) : 0U;
+  while (i < last && nodes_[i + 1U].position.z() <= z) ++i;
+  while (i > 0U && nodes_[i].position.z() > z) --i;
+  return i;
 }
 
 Eigen::Vector3f StemAxis::directionAt(float s) const {
@@ -97,10 +110,7 @@ StemAxis::Projection StemAxis::project(const Eigen::Vector3f& point) const {
   const auto mayBeNearer = [&](float apart) { return apart <= 0.0F || apart * apart <= least; };
   if (rising_) {
     // Outwards from the point's own height, until no segment can be nearer.
-    const auto above =
-        std::upper_bound(nodes_.begin() + 1, nodes_.end() - 1, point.z(),
-                         [](float z, const Node& node) { return z < node.position.z(); });
-    const auto middle = static_cast<std::size_t>(above - nodes_.begin()) - 1U;
+    const std::size_t middle = segmentAtHeight(point.z());
     look(middle);
     for (std::size_t i = middle + 1U; i <= last && mayBeNearer(nodes_[i].position.z() - point.z());
          ++i) {

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "field_phenotyping/common/sorted_indices.hpp"
 #include "field_phenotyping/segmentation/growing_surface.hpp"
 #include "field_phenotyping/segmentation/growth_adaptation.hpp"
 #include "field_phenotyping/segmentation/leaf_bases.hpp"
@@ -83,8 +84,7 @@ std::vector<std::uint32_t> pointsOf(const std::vector<GrowthRegion>& regions,
     if (!wanted.empty() && wanted[r] == 0U) continue;
     points.insert(points.end(), regions[r].points.begin(), regions[r].points.end());
   }
-  std::sort(points.begin(), points.end());
-  points.erase(std::unique(points.begin(), points.end()), points.end());
+  sortUnique(points);
   return points;
 }
 

@@ -9,6 +9,7 @@
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
 #include "field_phenotyping/segmentation/row_model.hpp"
+#include "field_phenotyping/segmentation/stem_curve.hpp"
 #include "field_phenotyping/segmentation/stem_foot.hpp"
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
@@ -38,13 +39,37 @@ bool beginsHigh(const StemSeeds& seeds, const GroundModel& ground, float plant_h
   return ground.heightAbove(seeds.points.front()) > kHighSeeds * plant_height;
 }
 
+/// Whether most of some places lie within `distance` [m] of the axis.
+bool follows(const StemAxis& axis, const std::vector<Eigen::Vector3f>& places, float distance) {
+  const auto near = std::count_if(places.begin(), places.end(), [&](const auto& place) {
+    return axis.project(place).distance < distance;
+  });
+  return 2 * static_cast<std::size_t>(near) > places.size();
+}
+
+/// Whether an axis is that of a stem, and ends where that does.
+bool isAmong(const StemAxis& axis, const std::vector<GrownStem>& stems) {
+  constexpr float kApart = 0.005F;  // [m]
+  constexpr float kLonger = 0.01F;  // [m]
+  std::vector<Eigen::Vector3f> places;
+  for (const StemAxis::Node& node : axis.nodes()) places.push_back(node.position);
+  return std::any_of(stems.begin(), stems.end(), [&](const GrownStem& stem) {
+    return std::abs(axis.length() - stem.midline.axis.length()) < kLonger &&
+           follows(stem.midline.axis, places, kApart);
+  });
+}
+
 /// Step 1: the start points give the axis prior, the points round it the midline and where it ends.
-Midline findMidline(const GrowthScene& scene, const StemAxis& prior, float max_radius,
-                    float plant_height) {
+/// None if they lead to a stem that is known. Young ones are fitted to the end: their leaves are so
+/// near that the better of two fits counts.
+std::optional<Midline> findMidline(const GrowthScene& scene, const StemAxis& prior,
+                                   const std::vector<GrownStem>& known, float max_radius,
+                                   float plant_height) {
   const std::vector<std::uint32_t> around =
       pointsAround(scene, prior, kStemSurroundings * max_radius);
   Midline midline = fitMidline(scene.points, around, prior, max_radius, plant_height);
   midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
+  if (!isYoung(plant_height) && isAmong(midline.axis, known)) return std::nullopt;
   // Without the leaves above, the axis points straight up through them, and shows its end better.
   constexpr float kMostBeyond = 0.25F;  // [m]
   midline = fitMidline(scene.points, around, midline.axis, max_radius, plant_height);
@@ -61,17 +86,18 @@ std::vector<GrownStem> withPoints(std::vector<GrownStem> grown) {
   return grown;
 }
 
-/// What grows from every candidate; candidates that nothing grows from are left out.
+/// What grows from every candidate; candidates that nothing grows from, or that are one of `known`,
+/// are left out.
 std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
+                                      const std::vector<GrownStem>& known,
                                       const GroundModel& ground, float plant_height,
                                       const SegmentationParameters& parameters) {
   std::vector<GrownStem> grown(seeds.size());
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   parallelFor(seeds.size(), [&](std::size_t k) {
-    grown[k] = growCandidate(scene,
-                             findMidline(scene, axisFromSeeds(seeds[k], ground, 0.5F * max_radius),
-                                         max_radius, plant_height),
-                             parameters);
+    std::optional<Midline> midline = findMidline(
+        scene, axisFromSeeds(seeds[k], ground, 0.5F * max_radius), known, max_radius, plant_height);
+    if (midline) grown[k] = growCandidate(scene, *std::move(midline), parameters);
   });
   return withPoints(std::move(grown));
 }
@@ -126,10 +152,7 @@ std::vector<GrownStem> growHanging(const GrowthScene& scene, const Block& block,
     const std::vector<Eigen::Vector3f>& points = seeds[k].points;
     if (!beginsHigh(seeds[k], block.ground, plant_height)) return;
     const bool is_known = std::any_of(known.begin(), known.end(), [&](const GrownStem& stem) {
-      const auto near = std::count_if(points.begin(), points.end(), [&](const auto& point) {
-        return stem.midline.axis.project(point).distance < max_radius;
-      });
-      return 2 * static_cast<std::size_t>(near) > points.size();
+      return follows(stem.midline.axis, points, max_radius);
     });
     if (is_known) return;
     std::vector<StemAxis::Node> nodes;
@@ -251,7 +274,7 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
   std::vector<StemSeeds> seeds =
       findStemSeeds(block, shapes, upright, parameters, SeedEvidence::kUpright);
   std::vector<GrownStem> stems =
-      growCandidates(scene, seeds, block.ground, plant_height, parameters);
+      growCandidates(scene, seeds, {}, block.ground, plant_height, parameters);
   Stand stand = standOf(block, onlyStems(selection, stems), parameters);
   settleFeet(scene, block, stand, parameters, stems);
   stems = onlyStems(selection, std::move(stems));
@@ -275,7 +298,7 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
     std::vector<GrownStem> more =
         growHanging(scene, block, seeds, stand, stems, plant_height, parameters);
     std::vector<GrownStem> free =
-        growCandidates(scene, seeds, block.ground, plant_height, parameters);
+        growCandidates(scene, seeds, stems, block.ground, plant_height, parameters);
     settleFeet(scene, block, stand, parameters, free);
     std::move(free.begin(), free.end(), std::back_inserter(more));
     select(std::move(more));

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
 #include <utility>
 
 #include "field_phenotyping/common/key_map.hpp"
@@ -47,39 +46,48 @@ bool isFlat(const Eigen::Vector3f& point, const NeighborGrid& grid, float radius
   return fine.neighbors >= kMinNeighbors && fine.curvature < kFlat;
 }
 
-std::vector<std::vector<Vote>> collectVotes(const Block& block,
-                                            const std::vector<LocalShape>& shapes,
-                                            const std::vector<float>& upright,
-                                            const SegmentationParameters& p, SeedEvidence evidence,
-                                            const std::vector<std::uint8_t>& explained) {
-  std::vector<std::vector<Vote>> slabs;
-  for (std::size_t i = 0; i < block.cloud.size(); ++i) {
-    if (!explained.empty() && explained[i] != 0U) continue;
-    const bool is_dense = evidence == SeedEvidence::kDensity;
-    if (!is_dense && !(upright[i] > 0.0F)) continue;
-    const Eigen::Vector3f& point = block.cloud.points[i];
-    const float height = block.ground.heightAbove(point);
-    if (height < static_cast<float>(p.seed_min_height)) continue;
-    const std::size_t slab = static_cast<std::size_t>(
-        (height - static_cast<float>(p.seed_min_height)) / static_cast<float>(p.seed_slab));
-    constexpr std::size_t kMaxSlabs = 2000U;
-    if (slab >= kMaxSlabs) continue;
-    if (slab >= slabs.size()) slabs.resize(slab + 1U);
-    if (is_dense) {
-      slabs[slab].push_back({point, Eigen::Vector2f::Zero(), 1.0F});
-    } else {
-      const Eigen::Vector3f& direction = shapes[i].direction;
-      slabs[slab].push_back({point, direction.head<2>() / direction.z(), upright[i]});
+/// The points that speak for stems, slab by slab, ascending.
+std::vector<std::vector<std::uint32_t>> collectVoters(const Block& block,
+                                                      const std::vector<float>& upright,
+                                                      const SegmentationParameters& p,
+                                                      SeedEvidence evidence,
+                                                      const std::vector<std::uint8_t>& explained) {
+  constexpr std::uint32_t kMostSlabs = 2000U;
+  std::vector<std::uint32_t> slab_of(block.cloud.size(), kMostSlabs);  // and of all others
+  constexpr std::size_t kChunk = 8192U;
+  parallelChunks(slab_of.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      if (!explained.empty() && explained[i] != 0U) continue;
+      if (evidence == SeedEvidence::kUpright && !(upright[i] > 0.0F)) continue;
+      const float height = block.ground.heightAbove(block.cloud.points[i]);
+      if (height < static_cast<float>(p.seed_min_height)) continue;
+      const float slab =
+          (height - static_cast<float>(p.seed_min_height)) / static_cast<float>(p.seed_slab);
+      if (slab < static_cast<float>(kMostSlabs)) slab_of[i] = static_cast<std::uint32_t>(slab);
     }
+  });
+  std::vector<std::size_t> counts(kMostSlabs + 1U, 0U);
+  for (const std::uint32_t slab : slab_of) ++counts[slab];
+  std::size_t slabs = kMostSlabs;
+  while (slabs > 0U && counts[slabs - 1U] == 0U) --slabs;
+  std::vector<std::vector<std::uint32_t>> voters(slabs);
+  for (std::size_t slab = 0; slab < slabs; ++slab) voters[slab].reserve(counts[slab]);
+  for (std::uint32_t i = 0; i < slab_of.size(); ++i) {
+    if (slab_of[i] < kMostSlabs) voters[slab_of[i]].push_back(i);
   }
-  return slabs;
+  return voters;
 }
 
 /// Votes of one slab that lie together in a column `width` [m] wide, as one.
-std::vector<Vote> mergeVotes(const std::vector<Vote>& votes, float width) {
+/// @param voteOf gives the vote of a point
+template <class VoteOf>
+std::vector<Vote> mergeVotes(const std::vector<std::uint32_t>& voters, const VoteOf& voteOf,
+                             float width) {
   std::vector<Vote> merged;
   KeyMap<std::uint32_t> column_at;
-  for (const Vote& vote : votes) {
+  column_at.reserve(voters.size());
+  for (const std::uint32_t voter : voters) {
+    const Vote vote = voteOf(voter);
     constexpr std::int64_t kHalfRange = 1 << 30;  // columns on either side
     const auto numberOf = [&](float at) {
       return static_cast<std::uint64_t>(static_cast<std::int64_t>(std::floor(at / width)) +
@@ -98,31 +106,56 @@ std::vector<Vote> mergeVotes(const std::vector<Vote>& votes, float width) {
   return merged;
 }
 
+/// A vote with the weight of all votes round it.
+struct Peak {
+  float density = 0.0F;
+  std::uint32_t vote = 0U;
+};
+
+/// @param grid over the votes' places
+std::vector<Peak> densities(const std::vector<Vote>& votes, const NeighborGrid& grid,
+                            float radius) {
+  const GridView view = grid.view();
+  std::vector<float> weights(votes.size() + kLanes, 0.0F);  // by cells, as the grid has its points
+  for (std::size_t k = 0; k < votes.size(); ++k) weights[k] = votes[view.order[k]].weight;
+  std::vector<Peak> peaks(votes.size());
+  const VectorLanes lanes;
+  for (std::size_t i = 0; i < votes.size(); ++i) {
+    const Place center{view.x[i], view.y[i], view.z[i]};
+    Floats sum{};
+    view.forEachRun(center, center, radius, [&](const GridView::Run& run) {
+      for (std::uint32_t k = run.begin; k < run.end; k += kLanes) {
+        sum += VectorLanes::where(nearAmong(lanes, view, center, radius, run, k),
+                                  loadFloats(&weights[k]));
+      }
+      return true;
+    });
+    peaks[i] = {total(sum), view.order[i]};
+  }
+  return peaks;
+}
+
 /// Peaks of the density of votes in one slab, strongest first.
-void clusterSlab(const std::vector<Vote>& all_votes, int slab, float max_stem_radius,
-                 std::vector<Cluster>& clusters) {
+template <class VoteOf>
+void clusterSlab(const std::vector<std::uint32_t>& voters, const VoteOf& voteOf, int slab,
+                 float max_stem_radius, std::vector<Cluster>& clusters) {
   const float radius = kClusterRadius * max_stem_radius;
   const float spacing = kClusterSpacing * max_stem_radius;
   constexpr float kColumn = 0.2F;  // of the clusters' radius
-  const std::vector<Vote> votes = mergeVotes(all_votes, kColumn * radius);
+  const std::vector<Vote> votes = mergeVotes(voters, voteOf, kColumn * radius);
   if (votes.empty()) return;
   std::vector<Eigen::Vector3f> flat(votes.size());
   for (std::size_t i = 0; i < votes.size(); ++i) {
     flat[i] = {votes[i].position.x(), votes[i].position.y(), 0.0F};
   }
   const NeighborGrid grid(flat, radius);
-  std::vector<float> density(votes.size(), 0.0F);
-  for (std::size_t i = 0; i < votes.size(); ++i) {
-    grid.forEachWithin(flat[i], radius,
-                       [&](std::uint32_t k, float) { density[i] += votes[k].weight; });
-  }
-  std::vector<std::uint32_t> order(votes.size());
-  std::iota(order.begin(), order.end(), 0U);
-  std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {
-    return density[a] != density[b] ? density[a] > density[b] : a < b;
+  std::vector<Peak> peaks = densities(votes, grid, radius);
+  std::sort(peaks.begin(), peaks.end(), [](const Peak& a, const Peak& b) {
+    return a.density != b.density ? a.density > b.density : a.vote < b.vote;
   });
   std::vector<std::uint8_t> taken(votes.size(), 0U);
-  for (const std::uint32_t peak : order) {
+  for (const Peak& at : peaks) {
+    const std::uint32_t peak = at.vote;
     if (taken[peak] != 0U) continue;
     Cluster cluster;
     cluster.slab = slab;
@@ -353,10 +386,16 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<Local
                                      const std::vector<std::uint8_t>& explained, std::size_t most) {
   // 1. Upright clusters in every slab over the local soil.
   const auto max_stem_radius = static_cast<float>(parameters.max_stem_radius);
-  const auto votes = collectVotes(block, shapes, upright, parameters, evidence, explained);
-  std::vector<std::vector<Cluster>> of_slab(votes.size());
-  parallelFor(votes.size(), [&](std::size_t slab) {
-    clusterSlab(votes[slab], static_cast<int>(slab), max_stem_radius, of_slab[slab]);
+  const auto voters = collectVoters(block, upright, parameters, evidence, explained);
+  const auto voteOf = [&](std::uint32_t i) -> Vote {
+    const Eigen::Vector3f& point = block.cloud.points[i];
+    if (evidence == SeedEvidence::kDensity) return {point, Eigen::Vector2f::Zero(), 1.0F};
+    const Eigen::Vector3f& direction = shapes[i].direction;
+    return {point, direction.head<2>() / direction.z(), upright[i]};
+  };
+  std::vector<std::vector<Cluster>> of_slab(voters.size());
+  parallelFor(voters.size(), [&](std::size_t slab) {
+    clusterSlab(voters[slab], voteOf, static_cast<int>(slab), max_stem_radius, of_slab[slab]);
   });
   std::vector<Cluster> clusters;
   for (const std::vector<Cluster>& of_one : of_slab) {

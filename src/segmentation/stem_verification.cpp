@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/row_model.hpp"
 #include "field_phenotyping/segmentation/stem_foot.hpp"
 #include "field_phenotyping/segmentation/stem_sight.hpp"
@@ -294,16 +295,17 @@ std::vector<std::size_t> StemSelection::stemsAmong(
     const std::vector<StemCandidate>& candidates) const {
   if (candidates.empty()) return {};
   const float band_height = bandHeight(candidates);
-  std::vector<float> merits;
-  std::vector<Eigen::Vector3f> bases;
-  for (const StemCandidate& stem : candidates) {
-    bases.push_back(baseOf(block_, stem.midline.axis));
+  std::vector<float> merits(candidates.size());
+  std::vector<Eigen::Vector3f> bases(candidates.size());
+  parallelFor(candidates.size(), [&](std::size_t c) {
+    const StemCandidate& stem = candidates[c];
+    bases[c] = baseOf(block_, stem.midline.axis);
     constexpr float kLowestCanopy = 0.1F;  // [m]
     const float height =
-        std::max({canopy_.heightAround(bases.back()),
+        std::max({canopy_.heightAround(bases[c]),
                   canopy_.heightAround(stem.midline.axis.nodes().back().position), kLowestCanopy});
-    merits.push_back(meritOf(block_, grid_, canopy_, stem, height, band_height));
-  }
+    merits[c] = meritOf(block_, grid_, canopy_, stem, height, band_height);
+  });
   const float typical = typicalRadius(candidates, merits);
   for (std::size_t c = 0; c < candidates.size(); ++c) {
     merits[c] *= thicknessFit(candidates[c], typical);

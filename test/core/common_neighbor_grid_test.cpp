@@ -49,6 +49,13 @@ void expectLikeBruteForce(const Points& points, const Points& centers, float cel
   EXPECT_GT(total, 0U) << "the test looked only where nothing is";
 }
 
+Eigen::Vector3f nearestOnLine(const Eigen::Vector3f& begin, const Eigen::Vector3f& end,
+                              const Eigen::Vector3f& point) {
+  const Eigen::Vector3d line = (end - begin).cast<double>();
+  const double share = line.dot((point - begin).cast<double>()) / line.squaredNorm();
+  return (begin.cast<double>() + std::clamp(share, 0.0, 1.0) * line).cast<float>();
+}
+
 Points randomPoints(std::size_t count, const Eigen::Vector3f& low, const Eigen::Vector3f& high,
                     unsigned seed) {
   std::mt19937 random(seed);
@@ -68,6 +75,29 @@ TEST(NeighborGrid, RandomCloud) {
     for (const float cell : {0.03F, 0.1F, 0.35F, 5.0F}) {
       expectLikeBruteForce(points, centers, cell, radius);
     }
+  }
+}
+
+TEST(NeighborGrid, PointsAlongALine) {
+  const Points points = randomPoints(3000U, {-1.0F, -2.0F, -0.5F}, {1.5F, 0.5F, 1.0F}, 1U);
+  const Points ends = randomPoints(100U, {-1.5F, -2.5F, -1.0F}, {2.0F, 1.0F, 1.5F}, 2U);
+  for (const float radius : {0.02F, 0.1F, 0.35F}) {
+    const NeighborGrid grid(points, 0.1F);
+    std::size_t total = 0U;
+    for (std::size_t k = 0; k + 1U < ends.size(); ++k) {
+      std::vector<std::uint32_t> found;
+      grid.forEachWithinOfLine(ends[k], ends[k + 1U], radius,
+                               [&](std::uint32_t i) { found.push_back(i); });
+      std::sort(found.begin(), found.end());
+      std::vector<std::uint32_t> expected;
+      for (std::uint32_t i = 0; i < points.size(); ++i) {
+        const Eigen::Vector3f nearest = nearestOnLine(ends[k], ends[k + 1U], points[i]);
+        if ((points[i] - nearest).norm() <= radius) expected.push_back(i);
+      }
+      ASSERT_EQ(found, expected) << "radius " << radius;
+      total += found.size();
+    }
+    EXPECT_GT(total, 0U) << "the test looked only where nothing is";
   }
 }
 

@@ -165,11 +165,11 @@ TEST(LocalShape, IsTheSameBitForBitWhateverTheTeamAndItsScratch) {
     std::vector<int> stored(points.size(), 0);
     runEmulatedTeam(c.groups, [&](const EmulatedTeam& team) {
       for (std::uint32_t begin = 0U; begin < view.size; begin += c.chunk) {
-        localShapesOfChunk(
+        shapeMomentsOfChunk(
             team, view, begin, std::min(view.size, begin + c.chunk), kRadius,
             [&](std::uint32_t) { return tile; },
-            [&](std::uint32_t k, const LocalShapeNumbers& shape) {
-              shapes[view.order[k]] = shape;
+            [&](std::uint32_t k, const Moments& moments) {
+              shapes[view.order[k]] = localShapeOf(moments);
               ++stored[view.order[k]];
             });
       }

@@ -56,6 +56,35 @@ class NeighborGrid {
     return countWithin(VectorLanes(), view(), placeOf(center), radius, count) >= count;
   }
 
+  /// Calls visit(index) for every point within `radius` of the straight line from `begin` to `end`,
+  /// which are two places, in an order that depends only on the points.
+  template <class Visit>
+  void forEachWithinOfLine(const Eigen::Vector3f& begin, const Eigen::Vector3f& end, float radius,
+                           Visit&& visit) const {
+    const Eigen::Vector3f line = end - begin;
+    const float inverse = 1.0F / line.squaredNorm();
+    const Place low = placeOf(begin.cwiseMin(end));
+    const Place high = placeOf(begin.cwiseMax(end));
+    view().forEachRun(low, high, radius, [&](const GridView::Run& run) {
+      for (std::uint32_t k = run.begin; k < run.end; k += kLanes) {
+        const Floats x = loadFloats(&x_[k]) - begin.x();
+        const Floats y = loadFloats(&y_[k]) - begin.y();
+        const Floats z = loadFloats(&z_[k]) - begin.z();
+        const Floats along = line.x() * x + (line.y() * y + line.z() * z);
+        const Floats share = clampedTo(along * inverse, 0.0F, 1.0F);
+        const Floats off_x = x - share * line.x();
+        const Floats off_y = y - share * line.y();
+        const Floats off_z = z - share * line.z();
+        const Floats squared = off_x * off_x + (off_y * off_y + off_z * off_z);
+        unsigned near = bitsOf(lanesBefore(run.end - k) & (squared <= radius * radius));
+        for (; near != 0U; near &= near - 1U) {
+          visit(order_[k + static_cast<std::uint32_t>(__builtin_ctz(near))]);
+        }
+      }
+      return true;
+    });
+  }
+
   /// Calls visit(index, point) for every point within `radius` of the box [low, high] and for some
   /// a little farther off, in an order that depends only on the points.
   template <class Visit>

@@ -24,6 +24,8 @@ struct VectorLanes {
   static Mask both(const Mask& a, const Mask& b) { return a & b; }
   static Float where(const Mask& mask, const Float& value) { return mask ? value : Float{}; }
   static Float larger(const Float& a, const Float& b) { return largerOf(a, b); }
+  static Float squareRoot(const Float& value) { return squareRootOf(value); }
+  static Float chosen(const Mask& mask, const Float& a, const Float& b) { return mask ? a : b; }
   static Float exponential(const Float& value) { return exponentialOf(value); }
   static float greatest(const Float& value) {
     const float low = value[0] > value[1] ? value[0] : value[1];

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <cstring>
@@ -48,7 +49,9 @@ constexpr std::size_t kLanes = 4U;
 //   void store(Float, float* values, std::size_t i, std::size_t count) const   the reverse
 //   Mask before(std::size_t i, std::size_t count) const   the lanes of values[i] ... below `count`
 //   Mask atMost(Float a, Float b) const, both(Mask a, Mask b) const
-//   Float larger(Float a, Float b) const, exponential(Float) const   as exponentialOf()
+//   Float larger(Float a, Float b) const, squareRoot(Float) const
+//   Float exponential(Float) const        as exponentialOf()
+//   Float chosen(Mask, Float a, Float b) const   a where it is true, else b
 //   Float where(Mask, Float) const        the value where it is true, else 0
 //   float total(Float) const              sum over the lanes, in one fixed order
 //   float greatest(Float) const           of all lanes
@@ -115,6 +118,8 @@ struct ThreadLanes {
     return i + lane < count;
   }
   FIELD_PHENOTYPING_HD static float larger(float a, float b) { return a > b ? a : b; }
+  FIELD_PHENOTYPING_HD static float squareRoot(float value) { return std::sqrt(value); }
+  FIELD_PHENOTYPING_HD static float chosen(bool mask, float a, float b) { return mask ? a : b; }
   FIELD_PHENOTYPING_HD static float exponential(float value) { return exponentialOfLane(value); }
   FIELD_PHENOTYPING_HD static bool atMost(float a, float b) { return a <= b; }
   FIELD_PHENOTYPING_HD static bool both(bool a, bool b) { return a && b; }

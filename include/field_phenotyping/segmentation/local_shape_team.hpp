@@ -21,23 +21,45 @@ struct LocalShapeNumbers {
   std::uint32_t neighbors = 0U;
 };
 
+/// Fewer points show no shape.
+constexpr float kLeastShapePoints = 5.0F;
+
+/// What the axes of the points' covariance say of their shape.
+template <class Float>
+struct ShapeOfAxes {
+  Float known;  ///< not 0 where there is one
+  principal_axes::Vector<Float> direction;
+  principal_axes::Vector<Float> normal;
+  Float linearity;
+  Float curvature;
+};
+
+template <class Lanes, class Float = typename Lanes::Float>
+FIELD_PHENOTYPING_HD ShapeOfAxes<Float> shapeOfAxes(
+    const principal_axes::Matrix<Float>& covariance) {
+  const principal_axes::Axes<Float> axes = principal_axes::axesOf<Lanes>(covariance);
+  const Float none = Lanes::all(0.0F);
+  const Float least = Lanes::larger(axes.values[0], none);
+  const Float middle = Lanes::larger(axes.values[1], none);
+  const Float most = axes.values[2];
+  const principal_axes::Vector<Float>& along = axes.axes[2];
+  const principal_axes::Vector<Float> opposite{-along.x, -along.y, -along.z};
+  return {Lanes::chosen(most > 0.0F, Lanes::all(1.0F), none),
+          principal_axes::chosen<Lanes>(along.z < 0.0F, opposite, along), axes.axes[0],
+          (most - middle) / most, least / (least + (middle + most))};
+}
+
 FIELD_PHENOTYPING_HD inline LocalShapeNumbers localShapeOf(const Moments& moments) {
-  constexpr std::uint32_t kMinNeighbors = 5U;
   LocalShapeNumbers shape;
   shape.neighbors = static_cast<std::uint32_t>(moments.count);
-  if (shape.neighbors < kMinNeighbors) return shape;
-  const PrincipalAxes axes = principalAxes(moments.covariance());
-  const float least = axes.values[0] > 0.0F ? axes.values[0] : 0.0F;
-  const float middle = axes.values[1] > 0.0F ? axes.values[1] : 0.0F;
-  const float most = axes.values[2];
-  if (!(most > 0.0F)) return shape;
-  shape.direction = axes.axes[2];
-  if (shape.direction.z < 0.0F) {
-    shape.direction = {-shape.direction.x, -shape.direction.y, -shape.direction.z};
-  }
-  shape.normal = axes.axes[0];
-  shape.linearity = (most - middle) / most;
-  shape.curvature = least / (least + (middle + most));
+  if (moments.count < kLeastShapePoints) return shape;
+  const Symmetric3 m = moments.covariance();
+  const ShapeOfAxes<float> found = shapeOfAxes<ThreadLanes>({m.xx, m.yy, m.zz, m.xy, m.yz, m.zx});
+  if (!(found.known > 0.0F)) return shape;
+  shape.direction = {found.direction.x, found.direction.y, found.direction.z};
+  shape.normal = {found.normal.x, found.normal.y, found.normal.z};
+  shape.linearity = found.linearity;
+  shape.curvature = found.curvature;
   return shape;
 }
 
@@ -94,16 +116,17 @@ FIELD_PHENOTYPING_HD std::uint32_t loadCandidates(const Team& team, const GridVi
   return (before < last ? before : last) - first;
 }
 
-/// Shapes of the points of one cell, which have their candidates in common: the team fetches them,
-/// then each of its groups takes one point after the other.
+/// Moments for the shapes of the points of one cell, which have their candidates in common: the
+/// team fetches them, then each of its groups takes one point after the other.
 /// @param candidates how many there are near the cell
-/// @param store store(k, shape) for each sorted point k, by one member of the team
+/// @param store store(k, moments) of the neighbours of each sorted point k, by one member of the
+/// team
 template <class Team, class Store>
-FIELD_PHENOTYPING_HD void localShapesOfCell(const Team& team, const GridView& grid,
-                                            const CellOfPoints& cell, const Place& low,
-                                            const Place& high, std::uint32_t candidates,
-                                            float radius, const CandidateTile& tile,
-                                            Store&& store) {
+FIELD_PHENOTYPING_HD void shapeMomentsOfCell(const Team& team, const GridView& grid,
+                                             const CellOfPoints& cell, const Place& low,
+                                             const Place& high, std::uint32_t candidates,
+                                             float radius, const CandidateTile& tile,
+                                             Store&& store) {
   const auto lanes = team.lanes();
   std::uint32_t loaded = 0U;
   for (std::uint32_t first = cell.begin; first < cell.end; first += team.groups()) {
@@ -121,17 +144,17 @@ FIELD_PHENOTYPING_HD void localShapesOfCell(const Team& team, const GridView& gr
     }
     if (!has_point) continue;
     const Moments moments = sums.total(lanes);
-    if (lanes.first()) store(k, localShapeOf(moments));
+    if (lanes.first()) store(k, moments);
   }
 }
 
-/// Shapes of all points of the cells whose first point is one of the sorted points number `begin`
+/// The same of all points of the cells whose first point is one of the sorted points number `begin`
 /// ... `end` - 1.
 /// @param tileFor tileFor(candidates) gives the tile for so many
 template <class Team, class TileFor, class Store>
-FIELD_PHENOTYPING_HD void localShapesOfChunk(const Team& team, const GridView& grid,
-                                             std::uint32_t begin, std::uint32_t end, float radius,
-                                             TileFor&& tileFor, Store&& store) {
+FIELD_PHENOTYPING_HD void shapeMomentsOfChunk(const Team& team, const GridView& grid,
+                                              std::uint32_t begin, std::uint32_t end, float radius,
+                                              TileFor&& tileFor, Store&& store) {
   std::uint32_t k = begin;
   while (k > 0U && k < end && grid.inOneCell(k - 1U, k)) ++k;
   while (k < end) {
@@ -145,7 +168,7 @@ FIELD_PHENOTYPING_HD void localShapesOfChunk(const Team& team, const GridView& g
       candidates += run.end - run.begin;
       return true;
     });
-    localShapesOfCell(team, grid, cell, low, high, candidates, radius, tileFor(candidates), store);
+    shapeMomentsOfCell(team, grid, cell, low, high, candidates, radius, tileFor(candidates), store);
     k = cell.end;
   }
 }

@@ -9,6 +9,37 @@
 
 namespace field_phenotyping {
 
+namespace principal_axes {
+
+/// Numbers of one symmetric matrix, or of as many as Float has lanes.
+template <class Float>
+struct Vector {
+  Float x;
+  Float y;
+  Float z;
+};
+template <class Float>
+struct Matrix {
+  Float xx, yy, zz, xy, yz, zx;
+};
+template <class Float>
+struct Axes {
+  Float values[3];
+  Vector<Float> axes[3];
+};
+
+/// Covariance of points of which there are `count`, from the sums of their offsets and of products.
+template <class Float>
+FIELD_PHENOTYPING_HD Matrix<Float> covarianceOf(const Float& count, const Vector<Float>& sum,
+                                                const Matrix<Float>& squares) {
+  const Vector<Float> m{sum.x / count, sum.y / count, sum.z / count};
+  return {squares.xx / count - m.x * m.x, squares.yy / count - m.y * m.y,
+          squares.zz / count - m.z * m.z, squares.xy / count - m.x * m.y,
+          squares.yz / count - m.y * m.z, squares.zx / count - m.z * m.x};
+}
+
+}  // namespace principal_axes
+
 /// A symmetric 3 x 3 matrix.
 struct Symmetric3 {
   float xx = 0.0F;
@@ -40,10 +71,10 @@ struct Moments {
   }
   FIELD_PHENOTYPING_HD Place mean() const { return {sum.x / count, sum.y / count, sum.z / count}; }
   FIELD_PHENOTYPING_HD Symmetric3 covariance() const {
-    const Place m = mean();
-    return {squares.xx / count - m.x * m.x, squares.yy / count - m.y * m.y,
-            squares.zz / count - m.z * m.z, squares.xy / count - m.x * m.y,
-            squares.yz / count - m.y * m.z, squares.zx / count - m.z * m.x};
+    const principal_axes::Matrix<float> m = principal_axes::covarianceOf<float>(
+        count, {sum.x, sum.y, sum.z},
+        {squares.xx, squares.yy, squares.zz, squares.xy, squares.yz, squares.zx});
+    return {m.xx, m.yy, m.zz, m.xy, m.yz, m.zx};
   }
 };
 
@@ -101,25 +132,36 @@ struct PrincipalAxes {
 
 namespace principal_axes {
 
-FIELD_PHENOTYPING_HD inline Place cross(const Place& a, const Place& b) {
+template <class Float>
+FIELD_PHENOTYPING_HD Vector<Float> cross(const Vector<Float>& a, const Vector<Float>& b) {
   return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
 }
-FIELD_PHENOTYPING_HD inline float dot(const Place& a, const Place& b) {
+template <class Float>
+FIELD_PHENOTYPING_HD Float dot(const Vector<Float>& a, const Vector<Float>& b) {
   return a.x * b.x + (a.y * b.y + a.z * b.z);
 }
-FIELD_PHENOTYPING_HD inline Place scaled(const Place& a, float factor) {
+template <class Float>
+FIELD_PHENOTYPING_HD Vector<Float> scaled(const Vector<Float>& a, const Float& factor) {
   return {a.x * factor, a.y * factor, a.z * factor};
 }
-FIELD_PHENOTYPING_HD inline Place product(const Symmetric3& m, const Place& a) {
+template <class Float>
+FIELD_PHENOTYPING_HD Vector<Float> product(const Matrix<Float>& m, const Vector<Float>& a) {
   return {m.xx * a.x + (m.xy * a.y + m.zx * a.z), m.xy * a.x + (m.yy * a.y + m.yz * a.z),
           m.zx * a.x + (m.yz * a.y + m.zz * a.z)};
 }
+template <class Lanes, class Float = typename Lanes::Float>
+FIELD_PHENOTYPING_HD Vector<Float> chosen(const typename Lanes::Mask& mask, const Vector<Float>& a,
+                                          const Vector<Float>& b) {
+  return {Lanes::chosen(mask, a.x, b.x), Lanes::chosen(mask, a.y, b.y),
+          Lanes::chosen(mask, a.z, b.z)};
+}
 
 /// The largest root of x^3 - 3 x = 2 r, for r in [0, 1].
-FIELD_PHENOTYPING_HD inline float largestRoot(float r) {
+template <class Float>
+FIELD_PHENOTYPING_HD Float largestRoot(const Float& r) {
   constexpr float kRootThree = 1.7320508F;
   // Its value at both ends, and its slope at r = 0.
-  float x = kRootThree + r * (1.0F / 3.0F + r * (2.0F - kRootThree - 1.0F / 3.0F));
+  Float x = kRootThree + r * (1.0F / 3.0F + r * (2.0F - kRootThree - 1.0F / 3.0F));
   constexpr int kNewtonSteps = 2;  // 1e-3 off, then 1e-6, then as exact as floats are
   for (int step = 0; step < kNewtonSteps; ++step) {
     x -= (x * (x * x - 3.0F) - 2.0F * r) / (3.0F * (x * x - 1.0F));
@@ -128,25 +170,98 @@ FIELD_PHENOTYPING_HD inline float largestRoot(float r) {
 }
 
 /// A unit vector that both of two rows, of which the third is a combination, are across to.
-FIELD_PHENOTYPING_HD inline Place nullVector(const Place& a, const Place& b, const Place& c) {
-  Place best = cross(a, b);
-  float best_square = dot(best, best);
-  const Place other[2] = {cross(b, c), cross(c, a)};
+template <class Lanes, class Float = typename Lanes::Float>
+FIELD_PHENOTYPING_HD Vector<Float> nullVector(const Vector<Float>& a, const Vector<Float>& b,
+                                              const Vector<Float>& c) {
+  Vector<Float> best = cross(a, b);
+  Float best_square = dot(best, best);
+  const Vector<Float> other[2] = {cross(b, c), cross(c, a)};
   for (int k = 0; k < 2; ++k) {
-    const float square = dot(other[k], other[k]);
-    if (square > best_square) {
-      best = other[k];
-      best_square = square;
-    }
+    const Float square = dot(other[k], other[k]);
+    const typename Lanes::Mask better = square > best_square;
+    best = chosen<Lanes>(better, other[k], best);
+    best_square = Lanes::chosen(better, square, best_square);
   }
-  return scaled(best, 1.0F / std::sqrt(best_square));
+  return scaled(best, 1.0F / Lanes::squareRoot(best_square));
 }
 
 /// A unit vector across to a unit vector.
-FIELD_PHENOTYPING_HD inline Place anyAcross(const Place& a) {
-  const bool use_x = a.x * a.x <= a.y * a.y;
-  const Place across = use_x ? Place{0.0F, a.z, -a.y} : Place{-a.z, 0.0F, a.x};
-  return scaled(across, 1.0F / std::sqrt(dot(across, across)));
+template <class Lanes, class Float = typename Lanes::Float>
+FIELD_PHENOTYPING_HD Vector<Float> anyAcross(const Vector<Float>& a) {
+  const Float none = Lanes::all(0.0F);
+  const Vector<Float> across = chosen<Lanes>(a.x * a.x <= a.y * a.y, Vector<Float>{none, a.z, -a.y},
+                                             Vector<Float>{-a.z, none, a.x});
+  return scaled(across, 1.0F / Lanes::squareRoot(dot(across, across)));
+}
+
+/// What principalAxes() does; entries that are all alike, or of one value three times, give the
+/// coordinate axes.
+template <class Lanes, class Float = typename Lanes::Float>
+FIELD_PHENOTYPING_HD Axes<Float> axesOf(const Matrix<Float>& m) {
+  const Float none = Lanes::all(0.0F);
+  const Float one = Lanes::all(1.0F);
+  const Float mean = (m.xx + (m.yy + m.zz)) / 3.0F;
+  Matrix<Float> b{m.xx - mean, m.yy - mean, m.zz - mean, m.xy, m.yz, m.zx};
+  // Largest entry 1, so that no product of three overflows or vanishes.
+  Float largest = none;
+  const Float entries[6] = {b.xx, b.yy, b.zz, b.xy, b.yz, b.zx};
+  for (int k = 0; k < 6; ++k) {
+    const Float size = Lanes::larger(entries[k], -entries[k]);
+    largest = Lanes::larger(largest, size);
+  }
+  const typename Lanes::Mask differ = largest > 0.0F;
+  largest = Lanes::chosen(differ, largest, one);
+  b = {b.xx / largest, b.yy / largest, b.zz / largest,
+       b.xy / largest, b.yz / largest, b.zx / largest};
+  const Float off_diagonal = b.xy * b.xy + (b.yz * b.yz + b.zx * b.zx);
+  const Float diagonal = b.xx * b.xx + (b.yy * b.yy + b.zz * b.zz);
+  const Float scale = Lanes::squareRoot((diagonal + 2.0F * off_diagonal) / 6.0F);
+  const Float determinant = b.xx * (b.yy * b.zz - b.yz * b.yz) -
+                            b.xy * (b.xy * b.zz - b.yz * b.zx) + b.zx * (b.xy * b.yz - b.yy * b.zx);
+  const Float r = determinant / (2.0F * scale * scale * scale);
+  const typename Lanes::Mask apart_is_largest = r >= 0.0F;
+  const Float size = Lanes::chosen(apart_is_largest, r, -r);
+  const Float root = largestRoot(Lanes::chosen(size < 1.0F, size, one)) * scale;
+  const Float apart = Lanes::chosen(apart_is_largest, root, -root);
+
+  const Vector<Float> axis = nullVector<Lanes>(Vector<Float>{b.xx - apart, b.xy, b.zx},
+                                               Vector<Float>{b.xy, b.yy - apart, b.yz},
+                                               Vector<Float>{b.zx, b.yz, b.zz - apart});
+  const Vector<Float> u = anyAcross<Lanes>(axis);
+  const Vector<Float> w = cross(axis, u);
+  const Vector<Float> bu = product(b, u);
+  const Vector<Float> bw = product(b, w);
+  const Float uu = dot(u, bu);
+  const Float uw = dot(u, bw);
+  const Float ww = dot(w, bw);
+  const Float middle = 0.5F * (uu + ww);
+  const Float half = 0.5F * (uu - ww);
+  const Float reach = Lanes::squareRoot(half * half + uw * uw);
+  // (cosine, sine) of the larger one's angle from u.
+  const Float away = Lanes::larger(half, -half);
+  const Float longer = Lanes::squareRoot(0.5F + 0.5F * (away / reach));
+  const Float shorter = uw / (2.0F * reach * longer);
+  const typename Lanes::Mask turned = half < 0.0F;
+  const typename Lanes::Mask unequal = reach > 0.0F;
+  const Float cosine = Lanes::chosen(unequal, Lanes::chosen(turned, shorter, longer), one);
+  const Float sine = Lanes::chosen(unequal, Lanes::chosen(turned, longer, shorter), none);
+  const Vector<Float> larger{cosine * u.x + sine * w.x, cosine * u.y + sine * w.y,
+                             cosine * u.z + sine * w.z};
+  const Vector<Float> smaller{cosine * w.x - sine * u.x, cosine * w.y - sine * u.y,
+                              cosine * w.z - sine * u.z};
+  const Float low = mean + largest * (middle - reach);
+  const Float high = mean + largest * (middle + reach);
+  const Float alone = mean + largest * apart;
+  const auto valueOf = [&](const Float& if_largest, const Float& if_least) -> Float {
+    return Lanes::chosen(differ, Lanes::chosen(apart_is_largest, if_largest, if_least), m.xx);
+  };
+  const auto axisOf = [&](const Vector<Float>& if_largest, const Vector<Float>& if_least,
+                          const Vector<Float>& if_alike) -> Vector<Float> {
+    return chosen<Lanes>(differ, chosen<Lanes>(apart_is_largest, if_largest, if_least), if_alike);
+  };
+  return {{valueOf(low, alone), valueOf(high, low), valueOf(alone, high)},
+          {axisOf(smaller, axis, {one, none, none}), axisOf(larger, smaller, {none, one, none}),
+           axisOf(axis, larger, {none, none, one})}};
 }
 
 }  // namespace principal_axes
@@ -155,64 +270,13 @@ FIELD_PHENOTYPING_HD inline Place anyAcross(const Place& a) {
 /// eigenvalue that stands apart from the other two, by Newton's method, its vector, and the other
 /// two in the plane across it. Exact to some 1e-6 of the largest. Entries must be finite.
 FIELD_PHENOTYPING_HD inline PrincipalAxes principalAxes(const Symmetric3& m) {
-  using namespace principal_axes;
-  PrincipalAxes out{{m.xx, m.xx, m.xx}, {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
-  const float mean = (m.xx + (m.yy + m.zz)) / 3.0F;
-  Symmetric3 b{m.xx - mean, m.yy - mean, m.zz - mean, m.xy, m.yz, m.zx};
-  // Largest entry 1, so that no product of three overflows or vanishes.
-  float largest = 0.0F;
-  const float entries[6] = {b.xx, b.yy, b.zz, b.xy, b.yz, b.zx};
-  for (int k = 0; k < 6; ++k) {
-    const float size = entries[k] < 0.0F ? -entries[k] : entries[k];
-    if (size > largest) largest = size;
+  const principal_axes::Axes<float> found =
+      principal_axes::axesOf<ThreadLanes>({m.xx, m.yy, m.zz, m.xy, m.yz, m.zx});
+  PrincipalAxes out;
+  for (int k = 0; k < 3; ++k) {
+    out.values[k] = found.values[k];
+    out.axes[k] = {found.axes[k].x, found.axes[k].y, found.axes[k].z};
   }
-  if (!(largest > 0.0F)) return out;
-  b = {b.xx / largest, b.yy / largest, b.zz / largest,
-       b.xy / largest, b.yz / largest, b.zx / largest};
-  const float off_diagonal = b.xy * b.xy + (b.yz * b.yz + b.zx * b.zx);
-  const float diagonal = b.xx * b.xx + (b.yy * b.yy + b.zz * b.zz);
-  const float scale = std::sqrt((diagonal + 2.0F * off_diagonal) / 6.0F);
-  const float determinant = b.xx * (b.yy * b.zz - b.yz * b.yz) -
-                            b.xy * (b.xy * b.zz - b.yz * b.zx) + b.zx * (b.xy * b.yz - b.yy * b.zx);
-  const float r = determinant / (2.0F * scale * scale * scale);
-  const bool apart_is_largest = r >= 0.0F;
-  const float size = apart_is_largest ? r : -r;
-  const float root = largestRoot(size < 1.0F ? size : 1.0F) * scale;
-  const float apart = apart_is_largest ? root : -root;
-
-  const Place axis = nullVector({b.xx - apart, b.xy, b.zx}, {b.xy, b.yy - apart, b.yz},
-                                {b.zx, b.yz, b.zz - apart});
-  const Place u = anyAcross(axis);
-  const Place w = cross(axis, u);
-  const Place bu = product(b, u);
-  const Place bw = product(b, w);
-  const float uu = dot(u, bu);
-  const float uw = dot(u, bw);
-  const float ww = dot(w, bw);
-  const float middle = 0.5F * (uu + ww);
-  const float half = 0.5F * (uu - ww);
-  const float reach = std::sqrt(half * half + uw * uw);
-  // (cosine, sine) of the larger one's angle from u.
-  float cosine = 1.0F;
-  float sine = 0.0F;
-  if (reach > 0.0F) {
-    const float away = half < 0.0F ? -half : half;
-    const float longer = std::sqrt(0.5F + 0.5F * (away / reach));
-    const float shorter = uw / (2.0F * reach * longer);
-    cosine = half < 0.0F ? shorter : longer;
-    sine = half < 0.0F ? longer : shorter;
-  }
-  const Place larger{cosine * u.x + sine * w.x, cosine * u.y + sine * w.y,
-                     cosine * u.z + sine * w.z};
-  const Place smaller{cosine * w.x - sine * u.x, cosine * w.y - sine * u.y,
-                      cosine * w.z - sine * u.z};
-  const int first = apart_is_largest ? 0 : 1;  // of the pair
-  out.values[first] = mean + largest * (middle - reach);
-  out.values[first + 1] = mean + largest * (middle + reach);
-  out.values[apart_is_largest ? 2 : 0] = mean + largest * apart;
-  out.axes[first] = smaller;
-  out.axes[first + 1] = larger;
-  out.axes[apart_is_largest ? 2 : 0] = axis;
   return out;
 }
 

@@ -62,12 +62,15 @@ class StemAxis {
 
  private:
   std::size_t segmentAt(float s) const;
+  /// The highest segment that begins at that height or below, else the first. Of a rising axis.
+  std::size_t segmentAtHeight(float z) const;
   float radiusAt(float s, std::size_t segment) const;
 
   std::vector<Node> nodes_;
   std::vector<float> arc_lengths_;
   std::vector<Eigen::Vector3f> directions_;  // of the segments, of length 1
   bool rising_ = true;                       ///< every node is higher than the one before
+  float segments_per_metre_ = 0.0F;          ///< of height
 };
 
 }  // namespace field_phenotyping
