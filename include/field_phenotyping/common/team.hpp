@@ -56,6 +56,14 @@ constexpr std::size_t kLanes = 4U;
 //   bool any(Mask) const                  whether it is true in a lane that this member stands for
 //   bool first() const                    whether this member is its group's first
 
+/// The next `count` of what `at` points to, which moves on: cuts memory for a team into pieces.
+template <class Value>
+FIELD_PHENOTYPING_HD Value* takeFrom(Value*& at, int count) {
+  Value* const taken = at;
+  at += count;
+  return taken;
+}
+
 /// Sum of the values of all groups; all members get it.
 /// @param value the same in all members of a group
 /// @param scratch as many values as the team has groups; all members see the same memory

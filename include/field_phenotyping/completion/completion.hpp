@@ -2,6 +2,7 @@
 
 #include <memory>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/parameters.hpp"
 
@@ -14,6 +15,7 @@ namespace field_phenotyping {
 ///        with the same id only the regions that newer scans touch are solved again (2.6.1)
 CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
                              const CompletionParameters& parameters,
-                             const CompletedBlock* previous = nullptr);
+                             const CompletedBlock* previous = nullptr,
+                             const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping
