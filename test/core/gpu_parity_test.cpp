@@ -17,6 +17,7 @@
 #include "field_phenotyping/preprocessing/ground_estimation.hpp"
 #include "field_phenotyping/preprocessing/outlier_filter.hpp"
 #include "field_phenotyping/preprocessing/voxel_map.hpp"
+#include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "test_scene.hpp"
 
@@ -283,6 +284,56 @@ TEST_F(Gpu, SurfacePriorsAreTheSameBitForBit) {
   }
   EXPECT_GT(valid, stems.size()) << "of twice as many";
   EXPECT_EQ(device_.use().gpu_steps, 4U) << "two times two batches";
+}
+
+TEST_F(Gpu, LeafBasesAreTheSameBitForBit) {
+  Points points;
+  std::vector<Midline> midlines;
+  std::vector<std::vector<std::uint32_t>> members;
+  std::mt19937 random(31U);
+  std::uniform_real_distribution<float> uniform;
+  std::normal_distribution<float> noise(0.0F, 0.002F);
+  for (unsigned s = 0U; s < 40U; ++s) {
+    const float x = 0.2F * static_cast<float>(s);
+    members.emplace_back();
+    for (unsigned i = 0U; i < 60U * s; ++i) {
+      const float up = 1.2F * uniform(random);
+      const float above = std::fmod(up, 0.2F);  // a leaf every 20 cm
+      const bool is_leaf = i % 2U == 0U && above < 0.06F;
+      const float side =
+          is_leaf ? std::floor(up / 0.2F) * 3.1F + 0.6F * uniform(random) : 6.3F * uniform(random);
+      const float r = 0.011F + (is_leaf ? 0.4F * above : 0.0F) + noise(random);
+      members.back().push_back(static_cast<std::uint32_t>(points.size()));
+      points.emplace_back(x + r * std::cos(side), r * std::sin(side), up);
+    }
+    Midline midline;
+    midline.axis = StemAxis({{{x, 0.0F, 0.0F}, 0.012F}, {{x, 0.0F, 1.2F}, 0.010F}});
+    midline.spread = 0.002F;
+    midlines.push_back(midline);
+  }
+  std::vector<const Midline*> of_stems;
+  for (const Midline& midline : midlines) of_stems.push_back(&midline);
+  const std::vector<LeafBases> on_cpu = findLeafBases(points, members, of_stems, {});
+  std::size_t bases = 0U;
+  for (int run = 0; run < 2; ++run) {
+    const std::vector<LeafBases> on_gpu = findLeafBases(points, members, of_stems, device_);
+    ASSERT_EQ(on_gpu.size(), on_cpu.size());
+    for (std::size_t s = 0; s < on_cpu.size(); ++s) {
+      const std::vector<LeafBase>& a = on_cpu[s].all();
+      const std::vector<LeafBase>& b = on_gpu[s].all();
+      ASSERT_EQ(a.size(), b.size()) << s;
+      bases += a.size();
+      for (std::size_t k = 0; k < a.size(); ++k) {
+        EXPECT_EQ(a[k].arc_length, b[k].arc_length) << s;
+        EXPECT_EQ(a[k].azimuth, b[k].azimuth) << s;
+        EXPECT_EQ(a[k].slope, b[k].slope) << s;
+        EXPECT_EQ(a[k].evidence, b[k].evidence) << s;
+        EXPECT_EQ(a[k].sight, b[k].sight) << s;
+      }
+    }
+  }
+  EXPECT_GT(bases, 200U);
+  EXPECT_TRUE(findLeafBases(points, {}, {}, device_).empty());
 }
 
 TEST_F(Gpu, TheWholePipelineIsTheSame) {

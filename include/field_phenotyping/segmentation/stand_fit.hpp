@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
@@ -16,6 +17,7 @@ namespace field_phenotyping {
 /// Thread-safe; deterministic.
 std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& selection,
                                 float plant_height, std::vector<GrownStem> stems,
-                                const SegmentationParameters& parameters);
+                                const SegmentationParameters& parameters,
+                                const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping
