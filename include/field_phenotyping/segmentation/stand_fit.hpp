@@ -14,6 +14,7 @@ namespace field_phenotyping {
 /// of which shows the other, and of which the stems tell one another. Seedlings are fitted anew,
 /// and two that come to one stem are one.
 /// @param plant_height about how high the plants are [m]
+/// @param device what leaf bases are searched for on; all else is the CPU's
 /// Thread-safe; deterministic.
 std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& selection,
                                 float plant_height, std::vector<GrownStem> stems,
