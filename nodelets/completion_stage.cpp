@@ -30,8 +30,9 @@ boost::shared_ptr<const CompletedBlock> CompletionStage::work(
     const boost::shared_ptr<const SegmentedBlock>& block, const CompletionParameters& parameters) {
   const BlockIndex index = block->header.index;
   const boost::shared_ptr<const CompletedBlock> previous = latestOf(index);
-  const auto completed =
-      boost::make_shared<CompletedBlock>(completeBlock(toStd(block), parameters, previous.get()));
+  const auto completed = boost::make_shared<CompletedBlock>(
+      completeBlock(toStd(block), parameters, previous.get(), stage_.device()));
+  showDeviceUse(stage_.device(), stage_.health());
   keepLatest(index, completed);
   stage_.health().show("plants in the last block", static_cast<double>(block->plants.size()));
   stage_.health().show("synthetic points in the last block",

@@ -21,6 +21,11 @@ struct GpuLanes : ThreadLanes {
     value += FIELD_PHENOTYPING_ON_GPU(__shfl_xor_sync(group_mask, value, 2), value);
     return value;
   }
+  FIELD_PHENOTYPING_HD double product(float value) const {
+    value *= FIELD_PHENOTYPING_ON_GPU(__shfl_xor_sync(group_mask, value, 1), value);
+    const float other = FIELD_PHENOTYPING_ON_GPU(__shfl_xor_sync(group_mask, value, 2), value);
+    return static_cast<double>(value) * static_cast<double>(other);
+  }
   FIELD_PHENOTYPING_HD float greatest(float value) const {
     value = larger(value, FIELD_PHENOTYPING_ON_GPU(__shfl_xor_sync(group_mask, value, 1), value));
     return larger(value, FIELD_PHENOTYPING_ON_GPU(__shfl_xor_sync(group_mask, value, 2), value));
@@ -28,6 +33,9 @@ struct GpuLanes : ThreadLanes {
   FIELD_PHENOTYPING_HD unsigned count(bool mask) const {
     return FIELD_PHENOTYPING_ON_GPU(
         static_cast<unsigned>(__popc(__ballot_sync(group_mask, mask) & group_mask)), mask);
+  }
+  FIELD_PHENOTYPING_HD void meet() const {
+    FIELD_PHENOTYPING_ON_GPU(__syncwarp(group_mask), void());
   }
 };
 

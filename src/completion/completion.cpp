@@ -1,6 +1,7 @@
 #include "field_phenotyping/completion/completion.hpp"
 
 #include <algorithm>
+#include <optional>
 #include <utility>
 #include <vector>
 
@@ -24,15 +25,25 @@ const StemState* stateOf(const CompletedBlock* previous, std::int32_t id) {
 }  // namespace
 
 CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
-                             const CompletionParameters& parameters,
-                             const CompletedBlock* previous) {
+                             const CompletionParameters& parameters, const CompletedBlock* previous,
+                             const ComputeDevice& device) {
   const std::vector<Plant>& plants = segmented->plants;
   std::vector<CompletedStem> stems(plants.size());
   if (parameters.enabled) {
-    parallelFor(plants.size(), [&](std::size_t i) {
-      if (!plants[i].owned) return;
-      stems[i] = completeStem(segmented->cloud, plants[i].stem, plants[i].axis, segmented->ground,
-                              parameters, stateOf(previous, plants[i].id));
+    // Step 2, coarse: cylinder priors (Eq 18).
+    std::vector<std::size_t> owned;
+    std::vector<StemToModel> to_model;
+    for (std::size_t i = 0; i < plants.size(); ++i) {
+      if (!plants[i].owned) continue;
+      owned.push_back(i);
+      to_model.push_back(stemToModel(segmented->cloud, plants[i].stem, plants[i].axis, parameters));
+    }
+    const std::vector<std::optional<SurfacePrior>> priors = fitSurfacePriors(to_model, device);
+    // Steps 2 to 6.
+    parallelFor(owned.size(), [&](std::size_t k) {
+      const Plant& plant = plants[owned[k]];
+      stems[owned[k]] = completeStem(segmented->cloud, plant.stem, priors[k], segmented->ground,
+                                     parameters, stateOf(previous, plant.id));
     });
   }
 

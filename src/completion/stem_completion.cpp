@@ -4,7 +4,6 @@
 #include <array>
 #include <cmath>
 #include <map>
-#include <optional>
 #include <utility>
 
 #include "field_phenotyping/completion/gap_sampling.hpp"
@@ -54,15 +53,6 @@ struct StemState {
 };
 
 namespace {
-
-std::vector<Eigen::Vector3d> extractPoints(const PointCloud& cloud, IndexSpan stem) {
-  std::vector<Eigen::Vector3d> points;
-  points.reserve(stem.size());
-  for (std::uint32_t i = stem.begin; i < stem.end; ++i) {
-    points.push_back(cloud.points[i].cast<double>());
-  }
-  return points;
-}
 
 /// Cells of the measured surface: fine against the bilateral filter, whatever the points' number.
 double cellOf(const SurfacePrior& prior, const CompletionParameters& parameters) {
@@ -240,9 +230,27 @@ void smoothMeasured(const PointCloud& cloud, IndexSpan stem, const SurfacePrior&
 
 }  // namespace
 
+StemToModel stemToModel(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
+                        const CompletionParameters& parameters) {
+  StemToModel to_model{{}, &axis, 0.5 * parameters.max_gap};
+  if (stem.size() < static_cast<std::size_t>(parameters.min_points)) return to_model;
+  to_model.points.reserve(stem.size());
+  for (std::uint32_t i = stem.begin; i < stem.end; ++i) {
+    to_model.points.push_back(cloud.points[i].cast<double>());
+  }
+  return to_model;
+}
+
 CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
                            const GroundModel& ground, const CompletionParameters& parameters,
                            const StemState* previous) {
+  const auto priors = fitSurfacePriors({stemToModel(cloud, stem, axis, parameters)}, {});
+  return completeStem(cloud, stem, priors.front(), ground, parameters, previous);
+}
+
+CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem,
+                           const std::optional<SurfacePrior>& prior, const GroundModel& ground,
+                           const CompletionParameters& parameters, const StemState* previous) {
   CompletedStem completed;
   completed.solution.smoothed.assign(cloud.points.begin() + stem.begin,
                                      cloud.points.begin() + stem.end);
@@ -252,11 +260,6 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
     return completed;
   }
   completed.solution.flags = kCompletionNoSurface;
-  if (axis.empty()) return completed;
-
-  // Step 2, coarse: cylinder prior (Eq 18).
-  const std::optional<SurfacePrior> prior =
-      SurfacePrior::fit(extractPoints(cloud, stem), axis, 0.5 * parameters.max_gap);
   if (!prior) return completed;
   const MeasuredSurface measured(cloud, stem, *prior, cellOf(*prior, parameters));
   if (measured.size() < min_points) return completed;

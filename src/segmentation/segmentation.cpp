@@ -7,7 +7,6 @@
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
-#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/foot_points.hpp"
 #include "field_phenotyping/segmentation/found_twice.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
@@ -223,13 +222,11 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   // Step 1: start points, and the stems that grow from them; where those are, and where they end.
   std::vector<GrownStem> stems =
       fitStand(scene, selection, plant_height,
-               findStems(scene, block, selection, plant_height, parameters), parameters);
+               findStems(scene, block, selection, plant_height, parameters), parameters, device);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
   const float max_gap = longestGap(stems);
-  parallelFor(stems.size(), [&](std::size_t s) {
-    stems[s] = growStem(scene, stems[s].midline, max_gap, parameters);
-  });
+  stems = growStems(scene, midlinesOf(stems), max_gap, parameters, device);
 
   stems =
       withoutFoundTwice(block, std::move(stems), static_cast<float>(parameters.min_plant_spacing));

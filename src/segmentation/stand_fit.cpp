@@ -90,22 +90,24 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
 /// Where the stems' surfaces are, once their ends are about known.
 /// @param leaves_known leave out what the midlines so far show to be leaf bases'
 void refineMidlines(const GrowthScene& scene, float max_radius, float plant_height, double widened,
-                    bool leaves_known, std::vector<GrownStem>& stems) {
+                    bool leaves_known, const ComputeDevice& device, std::vector<GrownStem>& stems) {
+  std::vector<std::vector<std::uint32_t>> members(stems.size());
+  parallelFor(stems.size(), [&](std::size_t s) {
+    members[s] = pointsAround(scene, stems[s].midline.axis, kStemSurroundings * max_radius);
+  });
+  std::vector<LeafBases> leaf_bases(stems.size());
+  if (leaves_known) {
+    leaf_bases = findLeafBases(scene.points, members, midlinesOf(stems), device);
+  }
   parallelFor(stems.size(), [&](std::size_t s) {
     Midline& midline = stems[s].midline;
-    std::vector<std::uint32_t> members =
-        pointsAround(scene, midline.axis, kStemSurroundings * max_radius);
-    if (leaves_known) {
+    const auto isLeaf = [&](std::uint32_t i) {
       constexpr float kLeaf = 0.6F;
-      const LeafBases leaf_bases(scene.points, members, midline);
-      members.erase(std::remove_if(members.begin(), members.end(),
-                                   [&](std::uint32_t i) {
-                                     return leaf_bases.leafShare(scene.points[i], midline.axis) >
-                                            kLeaf;
-                                   }),
-                    members.end());
-    }
-    midline = refineMidline(scene.points, members, midline, plant_height, widened);
+      return leaf_bases[s].leafShare(scene.points[i], midline.axis) > kLeaf;
+    };
+    members[s].erase(std::remove_if(members[s].begin(), members[s].end(), isLeaf),
+                     members[s].end());
+    midline = refineMidline(scene.points, members[s], midline, plant_height, widened);
   });
 }
 
@@ -157,13 +159,14 @@ void steadySeedlings(float plant_height, std::vector<GrownStem>& stems) {
 
 std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& selection,
                                 float plant_height, std::vector<GrownStem> stems,
-                                const SegmentationParameters& parameters) {
+                                const SegmentationParameters& parameters,
+                                const ComputeDevice& device) {
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   constexpr double kWidened = 1.2;  // of a midline among leaves
-  refineMidlines(scene, max_radius, plant_height, kWidened, false, stems);
+  refineMidlines(scene, max_radius, plant_height, kWidened, false, device, stems);
   poolEnds(scene, max_radius, plant_height, stems);
   stems = refitSeedlings(scene, selection, plant_height, std::move(stems), parameters);
-  refineMidlines(scene, max_radius, plant_height, 1.0, true, stems);
+  refineMidlines(scene, max_radius, plant_height, 1.0, true, device, stems);
   steadySeedlings(plant_height, stems);
   return stems;
 }

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/sorted_indices.hpp"
 #include "field_phenotyping/segmentation/growing_surface.hpp"
 #include "field_phenotyping/segmentation/growth_adaptation.hpp"
@@ -152,12 +153,13 @@ GrownStem growCandidate(const GrowthScene& scene, Midline midline,
   return stem;
 }
 
-GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_gap,
-                   const SegmentationParameters& parameters) {
+namespace {
+
+/// growStem() of a stem whose leaf bases are known.
+GrownStem growAmongLeaves(const GrowthScene& scene, const Midline& midline, LeafBases leaf_bases,
+                          float max_gap, const SegmentationParameters& parameters) {
   const GrowthSettings first(parameters);
   const auto target = static_cast<float>(parameters.quality_target);
-  LeafBases leaf_bases(scene.points, pointsAround(scene, midline.axis, LeafBases::reachOf(midline)),
-                       midline);
   const std::vector<StemSegment> segments =
       splitStem(midline.axis.length(), leaf_bases.arcLengths());
 
@@ -206,6 +208,35 @@ GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_g
   }
   stem.points = std::move(best.points);
   return stem;
+}
+
+}  // namespace
+
+std::vector<const Midline*> midlinesOf(const std::vector<GrownStem>& stems) {
+  std::vector<const Midline*> midlines;
+  for (const GrownStem& stem : stems) midlines.push_back(&stem.midline);
+  return midlines;
+}
+
+std::vector<GrownStem> growStems(const GrowthScene& scene,
+                                 const std::vector<const Midline*>& midlines, float max_gap,
+                                 const SegmentationParameters& parameters,
+                                 const ComputeDevice& device) {
+  std::vector<std::vector<std::uint32_t>> members(midlines.size());
+  parallelFor(midlines.size(), [&](std::size_t s) {
+    members[s] = pointsAround(scene, midlines[s]->axis, LeafBases::reachOf(*midlines[s]));
+  });
+  std::vector<LeafBases> leaf_bases = findLeafBases(scene.points, members, midlines, device);
+  std::vector<GrownStem> stems(midlines.size());
+  parallelFor(midlines.size(), [&](std::size_t s) {
+    stems[s] = growAmongLeaves(scene, *midlines[s], std::move(leaf_bases[s]), max_gap, parameters);
+  });
+  return stems;
+}
+
+GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_gap,
+                   const SegmentationParameters& parameters) {
+  return growStems(scene, {&midline}, max_gap, parameters).front();
 }
 
 }  // namespace field_phenotyping

@@ -9,7 +9,6 @@
 #include <vector>
 
 #include "field_phenotyping/completion/bilateral_filter.hpp"
-#include "field_phenotyping/completion/envelope_cholesky.hpp"
 #include "field_phenotyping/completion/gap_sampling.hpp"
 #include "field_phenotyping/completion/measured_surface.hpp"
 #include "field_phenotyping/completion/rbf_surface.hpp"
@@ -77,30 +76,6 @@ std::vector<SurfacePosition> randomPositions(std::size_t count, unsigned seed) {
     positions.push_back({theta, uniform(random)});
   }
   return positions;
-}
-
-TEST(CompletionSurface, EnvelopeSolvesAsTheDenseMatrixDoes) {
-  constexpr Eigen::Index kSize = 40, kBand = 5, kShared = 2;
-  std::mt19937 random(3);
-  std::normal_distribution<double> normal(0.0, 1.0);
-  EnvelopeCholesky::RowMatrix matrix = EnvelopeCholesky::RowMatrix::Zero(kSize, kSize);
-  for (Eigen::Index i = 0; i < kSize; ++i) {
-    for (Eigen::Index k = i >= kSize - kShared ? 0 : std::max<Eigen::Index>(i - kBand, 0); k < i;
-         ++k) {
-      matrix(i, k) = matrix(k, i) = normal(random);
-    }
-    matrix(i, i) = 60.0;
-  }
-  EnvelopeCholesky solver;
-  EnvelopeCholesky::RowMatrix lower = matrix.triangularView<Eigen::Lower>();
-  lower(2, 7) = std::nan("");  // what is above the diagonal is not read
-  ASSERT_TRUE(solver.compute(lower, kBand, kShared));
-  const EnvelopeCholesky::RowMatrix right = EnvelopeCholesky::RowMatrix::Random(kSize, 3);
-  EnvelopeCholesky::RowMatrix solution = right;
-  solver.solveInPlace(solution);
-  EXPECT_LT((matrix * solution - right).cwiseAbs().maxCoeff(), 1e-12);
-  matrix(4, 4) = -1.0;
-  EXPECT_FALSE(solver.compute(matrix, kBand, kShared));
 }
 
 TEST(CompletionSurface, IndexAgreesWithBruteForce) {

@@ -50,6 +50,10 @@ struct EmulatedLanes : ThreadLanes {
     const std::array<float, kLanes> v = exchanged(value);
     return (v[0] + v[1]) + (v[2] + v[3]);
   }
+  double product(float value) const {
+    const std::array<float, kLanes> v = exchanged(value);
+    return static_cast<double>(v[0] * v[1]) * static_cast<double>(v[2] * v[3]);
+  }
   float greatest(float value) const {
     const std::array<float, kLanes> v = exchanged(value);
     return larger(larger(v[0], v[1]), larger(v[2], v[3]));
@@ -58,6 +62,7 @@ struct EmulatedLanes : ThreadLanes {
     const std::array<float, kLanes> v = exchanged(mask ? 1.0F : 0.0F);
     return static_cast<unsigned>(v[0] + v[1] + v[2] + v[3]);
   }
+  void meet() const { exchange->barrier.wait(); }
 
  private:
   std::array<float, kLanes> exchanged(float value) const {

@@ -11,11 +11,13 @@
 #include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/completion/surface_prior.hpp"
 #include "field_phenotyping/measurement/stem_cross_section.hpp"
 #include "field_phenotyping/pipeline.hpp"
 #include "field_phenotyping/preprocessing/ground_estimation.hpp"
 #include "field_phenotyping/preprocessing/outlier_filter.hpp"
 #include "field_phenotyping/preprocessing/voxel_map.hpp"
+#include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "test_scene.hpp"
 
@@ -230,6 +232,110 @@ TEST_F(Gpu, CrossSectionsAreTheSameBitForBit) {
   EXPECT_GT(valid, 3U * pieces.size()) << "of four times as many";
 }
 
+/// Points of a leaning stem of which a part of the circumference is seen, some of a leaf.
+StemToModel stemToModel(std::size_t points, double noise, double arc, const StemAxis& axis,
+                        unsigned seed) {
+  std::mt19937 random(seed);
+  std::normal_distribution<double> normal;
+  std::uniform_real_distribution<double> uniform;
+  StemToModel stem{{}, &axis, 0.15};
+  for (std::size_t i = 0; i < points; ++i) {
+    const double z = 1.2 * uniform(random);
+    const double angle = arc * uniform(random);
+    const double r = (i % 13U == 0U ? 0.03 : 0.012) - 0.003 * z + noise * normal(random);
+    stem.points.emplace_back(0.03 * z * z + 1.05 * r * std::cos(angle), r * std::sin(angle), z);
+  }
+  return stem;
+}
+
+TEST_F(Gpu, SurfacePriorsAreTheSameBitForBit) {
+  const StemAxis axis({{{0.002F, 0.0F, 0.0F}, 0.013F}, {{0.03F, 0.002F, 1.2F}, 0.009F}});
+  const StemAxis thick({{{0.0F, 0.0F, 0.0F}, 0.5F}, {{0.0F, 0.0F, 1.2F}, 0.5F}});
+  std::vector<StemToModel> stems;
+  for (unsigned seed = 0U; seed < 70U; ++seed) {  // more than are worked on at once
+    stems.push_back(
+        stemToModel(4U + 31U * seed, 0.0005 + 0.00002 * seed, seed % 3U ? 6.3 : 3.0, axis, seed));
+  }
+  stems.push_back(stemToModel(0U, 0.001, 6.3, axis, 71U));
+  stems.push_back(stemToModel(200U, 0.001, 6.3, thick, 72U));  // not a stem of that size
+  const auto on_cpu = fitSurfacePriors(stems, {});
+  std::size_t valid = 0U;
+  for (int run = 0; run < 2; ++run) {
+    const auto on_gpu = fitSurfacePriors(stems, device_);
+    ASSERT_EQ(on_gpu.size(), stems.size());
+    for (std::size_t i = 0; i < stems.size(); ++i) {
+      ASSERT_EQ(on_cpu[i].has_value(), on_gpu[i].has_value()) << i;
+      if (!on_cpu[i]) continue;
+      ++valid;
+      const SurfacePrior& a = *on_cpu[i];
+      const SurfacePrior& b = *on_gpu[i];
+      EXPECT_EQ(a.noise(), b.noise()) << i;
+      EXPECT_EQ(a.meanRadius(), b.meanRadius()) << i;
+      EXPECT_EQ(a.ellipse(), b.ellipse()) << i;
+      EXPECT_EQ(a.begin(), b.begin()) << i;
+      ASSERT_EQ(a.frame().nodes().size(), b.frame().nodes().size()) << i;
+      for (double s = 0.0; s < a.frame().length(); s += 0.05) {
+        EXPECT_EQ(a.frame().at(s).position, b.frame().at(s).position) << i;
+        EXPECT_EQ(a.radius(8.0 * s, s), b.radius(8.0 * s, s)) << i;
+        EXPECT_EQ(a.variance(8.0 * s, s), b.variance(8.0 * s, s)) << i;
+        EXPECT_EQ(a.misfitVariance(8.0 * s, s), b.misfitVariance(8.0 * s, s)) << i;
+      }
+    }
+  }
+  EXPECT_GT(valid, stems.size()) << "of twice as many";
+  EXPECT_EQ(device_.use().gpu_steps, 4U) << "two times two batches";
+}
+
+TEST_F(Gpu, LeafBasesAreTheSameBitForBit) {
+  Points points;
+  std::vector<Midline> midlines;
+  std::vector<std::vector<std::uint32_t>> members;
+  std::mt19937 random(31U);
+  std::uniform_real_distribution<float> uniform;
+  std::normal_distribution<float> noise(0.0F, 0.002F);
+  for (unsigned s = 0U; s < 40U; ++s) {
+    const float x = 0.2F * static_cast<float>(s);
+    members.emplace_back();
+    for (unsigned i = 0U; i < 60U * s; ++i) {
+      const float up = 1.2F * uniform(random);
+      const float above = std::fmod(up, 0.2F);  // a leaf every 20 cm
+      const bool is_leaf = i % 2U == 0U && above < 0.06F;
+      const float side =
+          is_leaf ? std::floor(up / 0.2F) * 3.1F + 0.6F * uniform(random) : 6.3F * uniform(random);
+      const float r = 0.011F + (is_leaf ? 0.4F * above : 0.0F) + noise(random);
+      members.back().push_back(static_cast<std::uint32_t>(points.size()));
+      points.emplace_back(x + r * std::cos(side), r * std::sin(side), up);
+    }
+    Midline midline;
+    midline.axis = StemAxis({{{x, 0.0F, 0.0F}, 0.012F}, {{x, 0.0F, 1.2F}, 0.010F}});
+    midline.spread = 0.002F;
+    midlines.push_back(midline);
+  }
+  std::vector<const Midline*> of_stems;
+  for (const Midline& midline : midlines) of_stems.push_back(&midline);
+  const std::vector<LeafBases> on_cpu = findLeafBases(points, members, of_stems, {});
+  std::size_t bases = 0U;
+  for (int run = 0; run < 2; ++run) {
+    const std::vector<LeafBases> on_gpu = findLeafBases(points, members, of_stems, device_);
+    ASSERT_EQ(on_gpu.size(), on_cpu.size());
+    for (std::size_t s = 0; s < on_cpu.size(); ++s) {
+      const std::vector<LeafBase>& a = on_cpu[s].all();
+      const std::vector<LeafBase>& b = on_gpu[s].all();
+      ASSERT_EQ(a.size(), b.size()) << s;
+      bases += a.size();
+      for (std::size_t k = 0; k < a.size(); ++k) {
+        EXPECT_EQ(a[k].arc_length, b[k].arc_length) << s;
+        EXPECT_EQ(a[k].azimuth, b[k].azimuth) << s;
+        EXPECT_EQ(a[k].slope, b[k].slope) << s;
+        EXPECT_EQ(a[k].evidence, b[k].evidence) << s;
+        EXPECT_EQ(a[k].sight, b[k].sight) << s;
+      }
+    }
+  }
+  EXPECT_GT(bases, 200U);
+  EXPECT_TRUE(findLeafBases(points, {}, {}, device_).empty());
+}
+
 TEST_F(Gpu, TheWholePipelineIsTheSame) {
   testing::Scene scene(testing::slopingSoil(3.0, 20.0), 1U);
   scene.addSoil({0.0, 0.0}, {6.0, 2.0}, 2500.0);
@@ -251,6 +357,11 @@ TEST_F(Gpu, TheWholePipelineIsTheSame) {
       EXPECT_EQ(on_gpu.plants[k].stem_diameter.value, on_cpu.plants[k].stem_diameter.value);
       EXPECT_EQ(on_gpu.plants[k].base, on_cpu.plants[k].base);
     }
+    ASSERT_EQ(on_gpu.blocks.size(), on_cpu.blocks.size());
+    for (std::size_t b = 0; b < on_cpu.blocks.size(); ++b) {
+      EXPECT_EQ(on_gpu.blocks[b]->synthetic.points, on_cpu.blocks[b]->synthetic.points);
+      EXPECT_EQ(on_gpu.blocks[b]->synthetic_stddev, on_cpu.blocks[b]->synthetic_stddev);
+    }
     std::size_t different = 0U;
     for (std::size_t i = 0; i < on_cpu.labels.size(); ++i) {
       different += on_cpu.labels[i].plant_id != on_gpu.labels[i].plant_id ||
@@ -261,6 +372,7 @@ TEST_F(Gpu, TheWholePipelineIsTheSame) {
     EXPECT_EQ(different, 0U);
     EXPECT_GT(on_gpu.times[0].use.gpu_steps, 0U);
     EXPECT_GT(on_gpu.times[1].use.gpu_steps, 0U);
+    EXPECT_GT(on_gpu.times[2].use.gpu_steps, 0U);
     EXPECT_GT(on_gpu.times[3].use.gpu_steps, 0U);
   }
   device_.attempt([](GpuStream&) {});  // the pipeline counts for itself

@@ -54,6 +54,23 @@ TEST(Elementary, DirectionsPartTheCircle) {
   }
 }
 
+TEST(Elementary, AnglesAndDirectionsAreExactToTheLastDigits) {
+  constexpr double kTurn = 2.0 * M_PI;
+  for (int i = -2000; i <= 2000; ++i) {
+    const double angle = kTurn / 1000.0 * i + 1e-5;
+    const Direction u = directionAt(angle);
+    EXPECT_NEAR(u.x, std::cos(angle), kDigits) << angle;
+    EXPECT_NEAR(u.y, std::sin(angle), kDigits) << angle;
+    const double size = 1e-6 * std::pow(10.0, i % 12);
+    EXPECT_NEAR(angleOf(size * u.x, size * u.y), std::atan2(u.y, u.x), 2.0 * kDigits) << angle;
+  }
+  for (const double x : {-1.0, 0.0, 2.0}) {
+    for (const double y : {-2.0, -1.0, 0.0, 1.0}) {
+      EXPECT_NEAR(angleOf(x, y), std::atan2(y, x), kDigits) << x << ' ' << y;
+    }
+  }
+}
+
 TEST(Elementary, SectorsAreThoseOfTheArctangent) {
   for (int degree = -179; degree < 180; degree += 2) {
     const double angle = M_PI / 180.0 * degree;

@@ -156,19 +156,11 @@ inline Floats arctangentOf(const Floats& rise, const Floats& run) {
   return rise > run ? kHalfPi - angle : angle;
 }
 
-/// Arcsines [rad] of values in [0, 1], exact to 1e-6.
+/// Arcsines [rad] of values in [0, 1], exact to 1e-6: a square root carries the steep end, and the
+/// rest is smooth.
 inline Floats arcsineOf(const Floats& values) {
-  // sqrt(1 - x) carries the steep end, and the rest is smooth: Abramowitz and Stegun, 4.4.46.
   constexpr float kHalfPi = 1.57079633F;
-  const Floats& x = values;
-  const Floats series =
-      1.5707963050F +
-      x * (-0.2145988016F +
-           x * (0.0889789874F +
-                x * (-0.0501743046F +
-                     x * (0.0308918810F +
-                          x * (-0.0170881256F + x * (0.0066700901F - x * 0.0012624911F))))));
-  return kHalfPi - squareRootOf(1.0F - x) * series;
+  return kHalfPi - squareRootOf(1.0F - values) * arcsineSeries(values);
 }
 
 }  // namespace field_phenotyping

@@ -25,7 +25,14 @@ struct VectorLanes {
   static Float where(const Mask& mask, const Float& value) { return mask ? value : Float{}; }
   static Float larger(const Float& a, const Float& b) { return largerOf(a, b); }
   static Float squareRoot(const Float& value) { return squareRootOf(value); }
-  static Float chosen(const Mask& mask, const Float& a, const Float& b) { return mask ? a : b; }
+  static Float smaller(const Float& a, const Float& b) { return smallerOf(a, b); }
+  static Float magnitude(const Float& value) { return magnitudeOf(value); }
+  static Float clamped(const Float& value, float low, float high) {
+    return clampedTo(value, low, high);
+  }
+  static Float arcsine(const Float& value) { return arcsineOf(value); }
+  static Float choose(const Mask& mask, const Float& a, const Float& b) { return mask ? a : b; }
+  static Float numbers() { return Float{0.0F, 1.0F, 2.0F, 3.0F}; }
   static Float exponential(const Float& value) { return exponentialOf(value); }
   static float greatest(const Float& value) {
     const float low = value[0] > value[1] ? value[0] : value[1];
@@ -33,6 +40,9 @@ struct VectorLanes {
     return low > high ? low : high;
   }
   static float total(const Float& value) { return field_phenotyping::total(value); }
+  static double product(const Float& value) {
+    return static_cast<double>(value[0] * value[1]) * static_cast<double>(value[2] * value[3]);
+  }
   static unsigned count(const Mask& mask) {
     constexpr unsigned char kBits[1U << kLanes] = {0U, 1U, 1U, 2U, 1U, 2U, 2U, 3U,
                                                    1U, 2U, 2U, 3U, 2U, 3U, 3U, 4U};
@@ -40,6 +50,7 @@ struct VectorLanes {
   }
   static bool any(const Mask& mask) { return anyOf(mask); }
   static bool first() { return true; }
+  static void meet() {}
 };
 
 /// The team of one thread that the CPU works with (see team.hpp).

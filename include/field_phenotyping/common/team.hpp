@@ -37,7 +37,7 @@ constexpr std::size_t kLanes = 4U;
 // On the CPU a team has one member, whose lanes are those of a vector register (SerialTeam). On the
 // GPU it is a thread block, whose lanes are neighbouring threads (CudaTeam); tests have teams of
 // CPU threads (EmulatedTeam). All members of a group must come to every call of its lanes' total(),
-// greatest() and count(), all members of the team to every sync(). Lanes have
+// product(), greatest(), count() and meet(), all members of the team to every sync(). Lanes have
 //
 //   Float, Mask                           a value and a truth, of the lanes that this member stands
 //                                         for
@@ -49,15 +49,29 @@ constexpr std::size_t kLanes = 4U;
 //   void store(Float, float* values, std::size_t i, std::size_t count) const   the reverse
 //   Mask before(std::size_t i, std::size_t count) const   the lanes of values[i] ... below `count`
 //   Mask atMost(Float a, Float b) const, both(Mask a, Mask b) const
-//   Float larger(Float a, Float b) const, squareRoot(Float) const
-//   Float exponential(Float) const        as exponentialOf()
-//   Float chosen(Mask, Float a, Float b) const   a where it is true, else b
+//   Float larger(Float a, Float b) const, smaller(Float a, Float b) const
+//   Float squareRoot(Float) const
+//   Float magnitude(Float) const, clamped(Float, float low, float high) const
+//   Float exponential(Float) const, arcsine(Float) const   as exponentialOf(), arcsineOf()
 //   Float where(Mask, Float) const        the value where it is true, else 0
+//   Float choose(Mask, Float a, Float b) const   a where it is true, else b
+//   Float numbers() const                 0 ... kLanes - 1, of the lanes
 //   float total(Float) const              sum over the lanes, in one fixed order
+//   double product(Float) const           likewise
 //   float greatest(Float) const           of all lanes
 //   unsigned count(Mask) const            lanes in which it is true
 //   bool any(Mask) const                  whether it is true in a lane that this member stands for
 //   bool first() const                    whether this member is its group's first
+//   void meet() const                     the members of a group wait for one another; what they
+//                                         wrote before it they may read after it
+
+/// The next `count` of what `at` points to, which moves on: cuts memory for a team into pieces.
+template <class Value>
+FIELD_PHENOTYPING_HD Value* takeFrom(Value*& at, int count) {
+  Value* const taken = at;
+  at += count;
+  return taken;
+}
 
 /// Sum of the values of all groups; all members get it.
 /// @param value the same in all members of a group
@@ -99,6 +113,18 @@ FIELD_PHENOTYPING_HD inline float exponentialOfLane(float value) {
   return series * scale;
 }
 
+/// What a value in [0, 1] adds to its arcsine beside the steep end: see arcsineOf().
+template <class Float>
+FIELD_PHENOTYPING_HD Float arcsineSeries(const Float& x) {
+  // Abramowitz and Stegun, 4.4.46.
+  return 1.5707963050F +
+         x * (-0.2145988016F +
+              x * (0.0889789874F +
+                   x * (-0.0501743046F +
+                        x * (0.0308918810F +
+                             x * (-0.0170881256F + x * (0.0066700901F - x * 0.0012624911F))))));
+}
+
 /// What is the same in all lanes that are threads of their own.
 struct ThreadLanes {
   using Float = float;
@@ -119,11 +145,21 @@ struct ThreadLanes {
   }
   FIELD_PHENOTYPING_HD static float larger(float a, float b) { return a > b ? a : b; }
   FIELD_PHENOTYPING_HD static float squareRoot(float value) { return std::sqrt(value); }
-  FIELD_PHENOTYPING_HD static float chosen(bool mask, float a, float b) { return mask ? a : b; }
+  FIELD_PHENOTYPING_HD static float smaller(float a, float b) { return a < b ? a : b; }
+  FIELD_PHENOTYPING_HD static float magnitude(float value) { return larger(value, -value); }
+  FIELD_PHENOTYPING_HD static float clamped(float value, float low, float high) {
+    return smaller(larger(value, low), high);
+  }
+  FIELD_PHENOTYPING_HD static float arcsine(float value) {
+    constexpr float kHalfPi = 1.57079633F;
+    return kHalfPi - std::sqrt(1.0F - value) * arcsineSeries(value);
+  }
   FIELD_PHENOTYPING_HD static float exponential(float value) { return exponentialOfLane(value); }
   FIELD_PHENOTYPING_HD static bool atMost(float a, float b) { return a <= b; }
   FIELD_PHENOTYPING_HD static bool both(bool a, bool b) { return a && b; }
   FIELD_PHENOTYPING_HD static float where(bool mask, float value) { return mask ? value : 0.0F; }
+  FIELD_PHENOTYPING_HD static float choose(bool mask, float a, float b) { return mask ? a : b; }
+  FIELD_PHENOTYPING_HD float numbers() const { return static_cast<float>(lane); }
   FIELD_PHENOTYPING_HD static bool any(bool mask) { return mask; }
   FIELD_PHENOTYPING_HD bool first() const { return lane == 0U; }
 };

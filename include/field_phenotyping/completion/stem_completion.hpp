@@ -2,11 +2,13 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/completion/completion_flags.hpp"
+#include "field_phenotyping/completion/surface_prior.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/ground_model.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
@@ -34,5 +36,14 @@ struct CompletedStem {
 CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
                            const GroundModel& ground, const CompletionParameters& parameters,
                            const StemState* previous = nullptr);
+
+/// The same in two steps, of which the first may be one for many stems, see fitSurfacePriors().
+/// @return without points where the stem has too few
+StemToModel stemToModel(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
+                        const CompletionParameters& parameters);
+/// @param prior none where the stem does not carry a surface
+CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem,
+                           const std::optional<SurfacePrior>& prior, const GroundModel& ground,
+                           const CompletionParameters& parameters, const StemState* previous);
 
 }  // namespace field_phenotyping

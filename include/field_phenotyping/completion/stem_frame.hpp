@@ -1,7 +1,10 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <vector>
+
+#include "field_phenotyping/completion/curve_frame.hpp"
 
 namespace field_phenotyping {
 
@@ -21,14 +24,7 @@ struct UnrolledPoint {
 /// thread.
 class StemFrame {
  public:
-  /// Axis point and right-handed orthonormal frame (u, v, tangent).
-  struct Frame {
-    Eigen::Vector3d position = Eigen::Vector3d::Zero();
-    Eigen::Vector3d tangent = Eigen::Vector3d::UnitZ();
-    Eigen::Vector3d u = Eigen::Vector3d::UnitX();
-    Eigen::Vector3d v = Eigen::Vector3d::UnitY();
-    double s = 0.0;
-  };
+  using Frame = CurveFrame<Eigen::Vector3d>;
 
   /// @param curve points along the axis, upwards, closely spaced against its curvature
   /// @throws std::invalid_argument for fewer than two points or two points in one place
@@ -44,9 +40,7 @@ class StemFrame {
   const std::vector<Frame>& nodes() const { return nodes_; }
 
  private:
-  /// Number of the lower node of the segment that a point between the ends lies beside.
-  std::size_t segmentOf(const Eigen::Vector3d& point) const;
-  Frame interpolate(std::size_t segment, double share) const;
+  int count() const { return static_cast<int>(nodes_.size()); }
 
   std::vector<Frame> nodes_;
 };

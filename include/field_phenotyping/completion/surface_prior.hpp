@@ -5,7 +5,9 @@
 #include <optional>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/completion/stem_frame.hpp"
+#include "field_phenotyping/completion/surface_prior_model.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 
 namespace field_phenotyping {
@@ -62,20 +64,34 @@ class SurfacePrior {
   double robustWeight(double residual) const;
 
  private:
-  SurfacePrior(StemFrame frame, int intervals);
+  SurfacePrior(StemFrame frame, const coarse::Layout& layout);
 
-  friend class SurfacePriorFitter;
+  friend class SurfacePriorMaker;
+
+  coarse::Place placeAt(double theta, double s) const;
+  /// The noise bias where R(s) is so large.
+  double biasAt(double radius) const;
 
   StemFrame frame_;
-  int intervals_ = 1;
-  double interval_length_ = 0.05;
+  coarse::Layout layout_;
   double mean_radius_ = 0.0;
   double noise_ = 0.0;
   double begin_ = 0.0;
-  double clustering_ = 1.0;       // of the residuals
-  Eigen::VectorXd coefficients_;  // axis shift u, axis shift v, radius of each knot; cos 2t, sin 2t
-  // Of the coefficients, row by row.
-  Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> covariance_;
+  double clustering_ = 1.0;  // of the residuals
+  std::vector<double> coefficients_;
+  std::vector<double> covariance_;  // of the coefficients, row by row
 };
+
+/// A stem that a prior is to be fitted to.
+struct StemToModel {
+  std::vector<Eigen::Vector3d> points;  ///< local frame of the block's cloud [m]
+  const StemAxis* axis;                 ///< as segmented, not null
+  double extend;                        ///< as for SurfacePrior::fit() [m]
+};
+
+/// SurfacePrior::fit() of many stems at once, on all cores or, a thread block each, on the GPU,
+/// with the same bits. Thread-safe.
+std::vector<std::optional<SurfacePrior>> fitSurfacePriors(const std::vector<StemToModel>& stems,
+                                                          const ComputeDevice& device);
 
 }  // namespace field_phenotyping

@@ -64,19 +64,6 @@ struct StemExtent {
   double width_variance = 0.0;  ///< across the stem, in the direction in which it is largest [m^2]
 };
 
-FIELD_PHENOTYPING_HD inline double largerOf(double a, double b) {
-  return a > b ? a : b;
-}
-FIELD_PHENOTYPING_HD inline double smallerOf(double a, double b) {
-  return a < b ? a : b;
-}
-FIELD_PHENOTYPING_HD inline double magnitudeOf(double a) {
-  return a < 0.0 ? -a : a;
-}
-FIELD_PHENOTYPING_HD inline double lengthOf(double x, double y) {
-  return std::sqrt(x * x + y * y);
-}
-
 /// The stem's axis at a height.
 FIELD_PHENOTYPING_HD inline Direction centerAt(const CrossSectionVector& p, double height) {
   const auto along = [&](int i) {
@@ -123,10 +110,6 @@ FIELD_PHENOTYPING_HD constexpr int powerOf(int parameter) {
   return parameter < kRadius ? parameter / 2 : parameter < kEllipse ? parameter - kRadius : 0;
 }
 
-/// Where the pair of local quantities (a, b), b <= a, is among all pairs.
-FIELD_PHENOTYPING_HD constexpr int pairOf(int a, int b) {
-  return a * (a + 1) / 2 + b;
-}
 constexpr int kPairs = pairOf(kLocalSize, 0);
 /// Where its sums begin: one for each power of height.
 FIELD_PHENOTYPING_HD constexpr int sumsOf(int a, int b) {

@@ -98,13 +98,6 @@ struct PointScratch {
   float* candidates;  // numbers of those that count, in their order
   float* counts;      // whether it does
 };
-/// The next `count` of what `at` points to, which moves on.
-template <class Value>
-FIELD_PHENOTYPING_HD Value* takeFrom(Value*& at, int count) {
-  Value* const taken = at;
-  at += count;
-  return taken;
-}
 
 FIELD_PHENOTYPING_HD constexpr std::size_t pointScratchSize(int bins) {
   const auto n = static_cast<std::size_t>(paddedBins(bins));

@@ -3,18 +3,11 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
+#include "field_phenotyping/segmentation/leaf_search_team.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
 
 namespace field_phenotyping {
-
-/// An organ that leaves a stem: a leaf, an ear, a tassel branch.
-struct LeafBase {
-  float arc_length = 0.0F;  ///< where its midrib meets the stem's surface, along the midline [m]
-  float azimuth = 0.0F;     ///< which way it leaves, about the midline, from x towards y [rad]
-  float slope = 0.0F;       ///< metres outwards per metre along the stem
-  float evidence = 0.0F;    ///< log likelihood gained by an organ there
-  float sight = 1.0F;       ///< how much more of the stem is seen behind it than behind most leaves
-};
 
 /// The leaf bases of one stem, and which points near its surface are theirs.
 ///
@@ -33,9 +26,11 @@ class LeafBases {
   /// included
   LeafBases(const std::vector<Eigen::Vector3f>& points, const std::vector<std::uint32_t>& members,
             const Midline& midline);
+  /// @param spread noise of the midline's surface [m]
+  LeafBases(std::vector<LeafBase> bases, float spread);
 
   /// Distance beyond the surface that shows leaves [m].
-  static constexpr float kReach = 0.025F;
+  static constexpr float kReach = leaf::kReach;
 
   /// Radius about the midline within which points are of use [m].
   static float reachOf(const Midline& midline);
@@ -51,5 +46,13 @@ class LeafBases {
   std::vector<LeafBase> bases_;
   float spread_ = 0.0F;
 };
+
+/// The leaf bases of many stems at once, on all cores or, a thread block each, on the GPU, with the
+/// same bits. Thread-safe.
+/// @param members, midlines of each stem, as for LeafBases; not null
+std::vector<LeafBases> findLeafBases(const std::vector<Eigen::Vector3f>& points,
+                                     const std::vector<std::vector<std::uint32_t>>& members,
+                                     const std::vector<const Midline*>& midlines,
+                                     const ComputeDevice& device);
 
 }  // namespace field_phenotyping

@@ -152,8 +152,8 @@ FIELD_PHENOTYPING_HD Vector<Float> product(const Matrix<Float>& m, const Vector<
 template <class Lanes, class Float = typename Lanes::Float>
 FIELD_PHENOTYPING_HD Vector<Float> chosen(const typename Lanes::Mask& mask, const Vector<Float>& a,
                                           const Vector<Float>& b) {
-  return {Lanes::chosen(mask, a.x, b.x), Lanes::chosen(mask, a.y, b.y),
-          Lanes::chosen(mask, a.z, b.z)};
+  return {Lanes::choose(mask, a.x, b.x), Lanes::choose(mask, a.y, b.y),
+          Lanes::choose(mask, a.z, b.z)};
 }
 
 /// The largest root of x^3 - 3 x = 2 r, for r in [0, 1].
@@ -180,7 +180,7 @@ FIELD_PHENOTYPING_HD Vector<Float> nullVector(const Vector<Float>& a, const Vect
     const Float square = dot(other[k], other[k]);
     const typename Lanes::Mask better = square > best_square;
     best = chosen<Lanes>(better, other[k], best);
-    best_square = Lanes::chosen(better, square, best_square);
+    best_square = Lanes::choose(better, square, best_square);
   }
   return scaled(best, 1.0F / Lanes::squareRoot(best_square));
 }
@@ -210,7 +210,7 @@ FIELD_PHENOTYPING_HD Axes<Float> axesOf(const Matrix<Float>& m) {
     largest = Lanes::larger(largest, size);
   }
   const typename Lanes::Mask differ = largest > 0.0F;
-  largest = Lanes::chosen(differ, largest, one);
+  largest = Lanes::choose(differ, largest, one);
   b = {b.xx / largest, b.yy / largest, b.zz / largest,
        b.xy / largest, b.yz / largest, b.zx / largest};
   const Float off_diagonal = b.xy * b.xy + (b.yz * b.yz + b.zx * b.zx);
@@ -220,9 +220,9 @@ FIELD_PHENOTYPING_HD Axes<Float> axesOf(const Matrix<Float>& m) {
                             b.xy * (b.xy * b.zz - b.yz * b.zx) + b.zx * (b.xy * b.yz - b.yy * b.zx);
   const Float r = determinant / (2.0F * scale * scale * scale);
   const typename Lanes::Mask apart_is_largest = r >= 0.0F;
-  const Float size = Lanes::chosen(apart_is_largest, r, -r);
-  const Float root = largestRoot(Lanes::chosen(size < 1.0F, size, one)) * scale;
-  const Float apart = Lanes::chosen(apart_is_largest, root, -root);
+  const Float size = Lanes::choose(apart_is_largest, r, -r);
+  const Float root = largestRoot(Lanes::choose(size < 1.0F, size, one)) * scale;
+  const Float apart = Lanes::choose(apart_is_largest, root, -root);
 
   const Vector<Float> axis = nullVector<Lanes>(Vector<Float>{b.xx - apart, b.xy, b.zx},
                                                Vector<Float>{b.xy, b.yy - apart, b.yz},
@@ -243,8 +243,8 @@ FIELD_PHENOTYPING_HD Axes<Float> axesOf(const Matrix<Float>& m) {
   const Float shorter = uw / (2.0F * reach * longer);
   const typename Lanes::Mask turned = half < 0.0F;
   const typename Lanes::Mask unequal = reach > 0.0F;
-  const Float cosine = Lanes::chosen(unequal, Lanes::chosen(turned, shorter, longer), one);
-  const Float sine = Lanes::chosen(unequal, Lanes::chosen(turned, longer, shorter), none);
+  const Float cosine = Lanes::choose(unequal, Lanes::choose(turned, shorter, longer), one);
+  const Float sine = Lanes::choose(unequal, Lanes::choose(turned, longer, shorter), none);
   const Vector<Float> larger{cosine * u.x + sine * w.x, cosine * u.y + sine * w.y,
                              cosine * u.z + sine * w.z};
   const Vector<Float> smaller{cosine * w.x - sine * u.x, cosine * w.y - sine * u.y,
@@ -253,7 +253,7 @@ FIELD_PHENOTYPING_HD Axes<Float> axesOf(const Matrix<Float>& m) {
   const Float high = mean + largest * (middle + reach);
   const Float alone = mean + largest * apart;
   const auto valueOf = [&](const Float& if_largest, const Float& if_least) -> Float {
-    return Lanes::chosen(differ, Lanes::chosen(apart_is_largest, if_largest, if_least), m.xx);
+    return Lanes::choose(differ, Lanes::choose(apart_is_largest, if_largest, if_least), m.xx);
   };
   const auto axisOf = [&](const Vector<Float>& if_largest, const Vector<Float>& if_least,
                           const Vector<Float>& if_alike) -> Vector<Float> {

@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
@@ -13,9 +14,11 @@ namespace field_phenotyping {
 /// of which shows the other, and of which the stems tell one another. Seedlings are fitted anew,
 /// and two that come to one stem are one.
 /// @param plant_height about how high the plants are [m]
+/// @param device what leaf bases are searched for on; all else is the CPU's
 /// Thread-safe; deterministic.
 std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& selection,
                                 float plant_height, std::vector<GrownStem> stems,
-                                const SegmentationParameters& parameters);
+                                const SegmentationParameters& parameters,
+                                const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping

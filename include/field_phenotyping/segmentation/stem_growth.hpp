@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/segmented_block.hpp"
@@ -31,5 +32,14 @@ GrownStem growCandidate(const GrowthScene& scene, Midline midline,
 /// Thread-safe; deterministic.
 GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_gap,
                    const SegmentationParameters& parameters);
+
+/// The same of many stems, on all cores and, as far as it is written for one, on the GPU.
+/// @param midlines not null
+std::vector<GrownStem> growStems(const GrowthScene& scene,
+                                 const std::vector<const Midline*>& midlines, float max_gap,
+                                 const SegmentationParameters& parameters,
+                                 const ComputeDevice& device = {});
+
+std::vector<const Midline*> midlinesOf(const std::vector<GrownStem>& stems);
 
 }  // namespace field_phenotyping

@@ -1,0 +1,274 @@
+// The fit of a stem's coarse model by teams of threads: the same bits as by one, whatever the team;
+// and what it is made of, beside the standard library and Eigen.
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <random>
+#include <type_traits>
+#include <vector>
+
+#include "emulated_team.hpp"
+#include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/common/team_envelope.hpp"
+#include "field_phenotyping/common/team_order.hpp"
+#include "field_phenotyping/completion/stem_frame.hpp"
+#include "field_phenotyping/completion/surface_prior_task.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+using Eigen::Vector3d;
+
+TEST(TeamOrder, SelectsAsTheStandardLibraryDoes) {
+  std::mt19937 random(4U);
+  for (const int count : {1, 2, 3, 10, 333}) {
+    for (const int kinds : {1, 4, 100000}) {
+      std::vector<double> values;
+      for (int i = 0; i < count; ++i) {
+        values.push_back(1e-3 * static_cast<double>(random() % static_cast<unsigned>(kinds)));
+      }
+      std::vector<double> sorted = values;
+      std::sort(sorted.begin(), sorted.end());
+      for (const int rank : {0, (count - 1) / 2, count - 1}) {
+        const double expected = sorted[static_cast<std::size_t>(rank)];
+        std::vector<double> alone = values;
+        EXPECT_EQ(teamSelect(SerialTeam(), alone.data(), count, rank, nullptr), expected);
+        std::sort(alone.begin(), alone.end());
+        EXPECT_EQ(alone, sorted) << "they are only put in another order";
+        std::vector<double> together = values;
+        std::vector<int> counts(8U);
+        runEmulatedTeam(2U, [&](const EmulatedTeam& team) {
+          EXPECT_EQ(teamSelect(team, together.data(), count, rank, counts.data()), expected);
+        });
+      }
+    }
+  }
+}
+
+TEST(TeamOrder, SortsAsTheStandardLibraryDoes) {
+  struct Item {
+    int key;
+    int number;
+  };
+  const auto less = [](const Item& a, const Item& b) { return a.key < b.key; };
+  std::mt19937 random(5U);
+  for (const int count : {0, 1, 15, 16, 17, 33, 500}) {
+    for (const int keys : {3, 10000}) {
+      std::vector<Item> items;
+      for (int i = 0; i < count; ++i) {
+        items.push_back({static_cast<int>(random() % static_cast<unsigned>(keys)), i});
+      }
+      std::vector<Item> expected = items;
+      std::stable_sort(expected.begin(), expected.end(), less);
+      const auto expectSorted = [&](const Item* sorted) {
+        for (std::size_t i = 0; i < expected.size(); ++i) {
+          EXPECT_EQ(sorted[i].number, expected[i].number) << i << " of " << count;
+        }
+      };
+      std::vector<Item> alone = items;
+      std::vector<Item> other(items.size());
+      expectSorted(teamSort(SerialTeam(), alone.data(), other.data(), count, less));
+      std::vector<Item> together = items;
+      std::vector<const Item*> found(8U);
+      runEmulatedTeam(2U, [&](const EmulatedTeam& team) {
+        found[team.rank()] = teamSort(team, together.data(), other.data(), count, less);
+      });
+      for (const Item* sorted : found) EXPECT_EQ(sorted, found.front());
+      expectSorted(found.front());
+    }
+  }
+}
+
+/// A random matrix within an envelope, and the same as an Envelope.
+Eigen::MatrixXd fillEnvelope(const Envelope& envelope, double diagonal) {
+  std::mt19937 random(3U);
+  std::normal_distribution<double> normal;
+  Eigen::MatrixXd matrix = Eigen::MatrixXd::Zero(envelope.size, envelope.size);
+  for (int i = 0; i < envelope.size; ++i) {
+    for (int k = envelope.first(i); k <= i; ++k) {
+      matrix(i, k) = matrix(k, i) = k == i ? diagonal : normal(random);
+      envelope.row(i)[k] = matrix(i, k);
+    }
+  }
+  return matrix;
+}
+
+TEST(TeamEnvelope, SolvesAsTheDenseMatrixDoesWhateverTheTeam) {
+  struct Case {
+    int size;
+    int band;
+    int shared;
+    int columns;
+  };
+  for (const Case& c :
+       {Case{40, 5, 2, 3}, Case{14, 11, 2, 14}, Case{3, 11, 2, 1}, Case{9, 2, 0, 2}}) {
+    std::vector<double> values(
+        static_cast<std::size_t>(Envelope::valuesOf(c.size, c.band, c.shared)));
+    const Envelope alone{values.data(), c.size, c.band, c.shared};
+    const Eigen::MatrixXd matrix = fillEnvelope(alone, 60.0);
+    std::vector<double> same = values;
+    const Envelope together{same.data(), c.size, c.band, c.shared};
+    using RowMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    const RowMatrix right = RowMatrix::Random(c.size, c.columns);
+    RowMatrix solution = right;
+    ASSERT_TRUE(teamFactor(SerialTeam(), alone));
+    teamSolve(SerialTeam(), alone, solution.data(), c.columns);
+    EXPECT_LT((matrix * solution - right).cwiseAbs().maxCoeff(), 1e-12) << c.size;
+    RowMatrix by_team = right;
+    runEmulatedTeam(2U, [&](const EmulatedTeam& team) {
+      EXPECT_TRUE(teamFactor(team, together));
+      teamSolve(team, together, by_team.data(), c.columns);
+    });
+    EXPECT_EQ(same, values) << "factors of " << c.size;
+    EXPECT_EQ(by_team, solution) << c.size;
+    fillEnvelope(alone, -1.0);
+    EXPECT_FALSE(teamFactor(SerialTeam(), alone));
+  }
+}
+
+TEST(CurveFrame, IsTheSameWithEitherVector) {
+  constexpr double kDigits = 1e-14;
+  std::vector<Vector3d> curve;
+  std::vector<Vector3> same;
+  for (int i = 0; i < 50; ++i) {
+    const double s = 0.01 * i;
+    curve.emplace_back(0.3 * std::cos(3.0 * s), 0.2 * s * s, s);
+    same.emplace_back(curve.back().x(), curve.back().y(), curve.back().z());
+  }
+  const StemFrame frame(curve);
+  const int count = static_cast<int>(same.size());
+  std::vector<CurveFrame<Vector3>> nodes(same.size());
+  for (int i = 0; i < count; ++i) {
+    placeNode(same.data(), count, i, nodes[static_cast<std::size_t>(i)]);
+  }
+  startFrame(nodes[0]);
+  for (std::size_t i = 1; i < nodes.size(); ++i) carryOn(nodes[i - 1U], nodes[i]);
+  const auto expectSame = [&](const Vector3& a, const Vector3d& b) {
+    EXPECT_LT((Vector3d(a.x(), a.y(), a.z()) - b).norm(), kDigits);
+  };
+  for (double s = -0.1; s < 0.7; s += 0.013) {
+    const CurveFrame<Vector3> here = frameAt(nodes.data(), count, s);
+    const StemFrame::Frame expected = frame.at(s);
+    expectSame(here.position, expected.position);
+    expectSame(here.tangent, expected.tangent);
+    expectSame(here.u, expected.u);
+    expectSame(here.v, expected.v);
+    EXPECT_NEAR(here.s, expected.s, kDigits);
+    const Vector3d point = frame.roll({8.0 * s, s, 0.012});
+    Vector3d outward;
+    const UnrolledPoint unrolled = frame.unroll(point, outward);
+    const BesideCurve<Vector3> beside =
+        besideCurve(nodes.data(), count, {point.x(), point.y(), point.z()});
+    EXPECT_NEAR(beside.s, unrolled.s, kDigits);
+    EXPECT_NEAR(beside.r, unrolled.r, kDigits);
+    EXPECT_NEAR(std::atan2(beside.sine(), beside.cosine()), unrolled.theta, 100.0 * kDigits);
+  }
+}
+
+/// Points of a stem of which one side is seen, some of a leaf.
+StemToModel stemToModel(int count, double length, const StemAxis& axis) {
+  std::mt19937 random(7U);
+  std::normal_distribution<double> noise(0.0, 0.001);
+  std::uniform_real_distribution<double> uniform;
+  StemToModel stem{{}, &axis, 0.05};
+  for (int i = 0; i < count; ++i) {
+    const double z = length * uniform(random);
+    const double angle = 4.0 * uniform(random);
+    const double r = (i % 11 == 0 ? 0.03 : 0.011) - 0.003 * z + noise(random);
+    stem.points.emplace_back(0.02 * z * z + 1.05 * r * std::cos(angle), r * std::sin(angle), z);
+  }
+  return stem;
+}
+
+struct Fit {
+  SurfacePriorFit fit;
+  std::vector<double> curve, coefficients, covariance;
+};
+
+/// @param run calls what it is given with the members of a team
+template <class Run>
+Fit fitBy(const SurfacePriorTask& task, int members, const Run& run) {
+  constexpr std::size_t kMost = coarse::kMostCoefficients;
+  Fit fit;
+  fit.curve.resize(3U * static_cast<std::size_t>(task.nodes));
+  fit.coefficients.resize(kMost);
+  fit.covariance.resize(kMost * kMost);
+  std::vector<double> near(coarse::nearSize(members));
+  std::vector<double> far(coarse::farSize(task.count, task.nodes, members));
+  std::vector<SurfacePriorFit> fits(static_cast<std::size_t>(members));
+  run([&](const auto& team) {
+    fits[team.rank()] = SurfacePriorFitter<std::decay_t<decltype(team)>>(
+                            team, task, fit.curve.data(), fit.coefficients.data(),
+                            fit.covariance.data(), near.data(), far.data())
+                            .run();
+  });
+  fit.fit = fits.front();
+  for (const SurfacePriorFit& other : fits) {
+    EXPECT_EQ(other.valid, fit.fit.valid);
+    EXPECT_EQ(other.noise, fit.fit.noise);
+    EXPECT_EQ(other.clustering, fit.fit.clustering);
+  }
+  return fit;
+}
+
+TEST(SurfacePriorTeam, FitIsThatOfOneThreadBitForBit) {
+  struct Case {
+    int points;
+    double length;  // [m]
+    double radius;  // as segmented [m]; 0: not known
+    unsigned groups;
+    bool valid;
+  };
+  for (const Case& c : {Case{150, 0.4, 0.012F, 1U, true}, Case{40, 0.2, 0.0, 2U, true},
+                        Case{5, 0.1, 0.015, 2U, true}, Case{40, 0.3, 0.012, 3U, true}}) {
+    const auto top = static_cast<float>(c.length);
+    const auto radius = static_cast<float>(c.radius);
+    const StemAxis axis({{{0.002F, 0.0F, 0.0F}, radius}, {{0.0F, 0.002F, top}, radius}});
+    const StemToFit stem = layOut(stemToModel(c.points, c.length, axis));
+    ASSERT_EQ(stem.task.count, c.points);
+    const Fit alone = fitBy(stem.task, 1, [](const auto& work) { work(SerialTeam()); });
+    ASSERT_EQ(alone.fit.valid, c.valid) << c.points;
+    const Fit together = fitBy(stem.task, static_cast<int>(c.groups * kLanes),
+                               [&](const auto& work) { runEmulatedTeam(c.groups, work); });
+    EXPECT_EQ(together.fit.valid, alone.fit.valid);
+    EXPECT_EQ(together.fit.layout.intervals, alone.fit.layout.intervals);
+    EXPECT_EQ(together.fit.layout.interval_length, alone.fit.layout.interval_length);
+    EXPECT_EQ(together.fit.noise, alone.fit.noise);
+    EXPECT_EQ(together.fit.inliers, alone.fit.inliers);
+    EXPECT_EQ(together.fit.clustering, alone.fit.clustering);
+    EXPECT_EQ(together.curve, alone.curve);
+    EXPECT_EQ(together.coefficients, alone.coefficients);
+    EXPECT_EQ(together.covariance, alone.covariance);
+    EXPECT_GT(alone.covariance.front(), 0.0);
+  }
+}
+
+TEST(SurfacePriorTeam, LeavesWhatIsNoStem) {
+  const StemAxis axis({{{0.0F, 0.0F, 0.0F}, 0.012F}, {{0.0F, 0.0F, 0.4F}, 0.012F}});
+  EXPECT_EQ(layOut({{}, &axis, 0.0}).task.count, 0);
+  EXPECT_EQ(layOut({{Vector3d(0.0, 0.0, 0.1)}, &axis, 0.0}).task.count, 0);
+  const StemAxis none;
+  EXPECT_EQ(layOut(stemToModel(50, 0.4, axis)).task.count, 50);
+  StemToModel without_axis = stemToModel(50, 0.4, axis);
+  without_axis.axis = &none;
+  EXPECT_EQ(layOut(without_axis).task.count, 0);
+
+  // Among others the rest stay in their places.
+  const StemToModel stem = stemToModel(80, 0.4, axis);
+  const auto priors = fitSurfacePriors({without_axis, stem, {{}, &axis, 0.0}, stem}, {});
+  ASSERT_EQ(priors.size(), 4U);
+  EXPECT_FALSE(priors[0]);
+  EXPECT_FALSE(priors[2]);
+  ASSERT_TRUE(priors[1] && priors[3]);
+  EXPECT_EQ(priors[1]->meanRadius(), priors[3]->meanRadius());
+  EXPECT_EQ(priors[1]->meanRadius(), SurfacePrior::fit(stem.points, axis, 0.05)->meanRadius());
+  EXPECT_NEAR(priors[1]->meanRadius(), 0.011, 0.001);
+  EXPECT_TRUE(fitSurfacePriors({}, {}).empty());
+}
+
+}  // namespace
+}  // namespace field_phenotyping
