@@ -195,6 +195,7 @@ struct Serializer<field_phenotyping::BlockHeader>
     stream.next(header.index.y);
     stream.next(header.revision);
     stream.next(header.final);
+    stream.next(header.draft);
     stream.next(header.tile_size);
     stream.next(header.tile_corner.x());
     stream.next(header.tile_corner.y());

@@ -63,7 +63,9 @@ class BlockStage {
  public:
   using InputPtr = boost::shared_ptr<const Input>;
   using OutputPtr = boost::shared_ptr<const Output>;
-  /// Makes what is published. Called on the worker thread; may throw.
+  using Drafts = typename BlockWorker<Input>::Drafts;
+  /// Makes what is published; nothing where that is not worth it any more. Called on the worker's
+  /// threads; may throw.
   using Work = std::function<OutputPtr(const InputPtr&, const Section&)>;
 
   BlockStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
@@ -78,8 +80,9 @@ class BlockStage {
   ~BlockStage() { stop(); }
 
   /// Begins to take input. Call it last, when everything that `work` and `idle` use is there.
-  /// @param idle called often on the worker thread, for displays
-  void start(Work work, std::function<void()> idle) {
+  /// @param idle called often on one of the worker's threads, for displays
+  /// @param drafts kBeside: `work` may be called by two threads at once, and `idle` meanwhile
+  void start(Work work, std::function<void()> idle, Drafts drafts = Drafts::kInTurn) {
     work_ = std::move(work);
     typename BlockWorker<Input>::Calls calls;
     calls.ready = [this] { return gate_.open(); };
@@ -89,7 +92,7 @@ class BlockStage {
       guarded(idle);
     };
     worker_ = std::make_unique<BlockWorker<Input>>(historyOf(pnh_), overloadLimitsOf(pnh_),
-                                                   std::move(calls));
+                                                   std::move(calls), drafts);
     worker_->start();
     flush_ = pnh_.advertiseService("flush", &BlockStage::flush, this);
     input_ = pnh_.subscribe("input", kChainQueue, &BlockStage::receive, this);
@@ -130,7 +133,12 @@ class BlockStage {
   void workOn(const Task& task) {
     guarded([&] {
       const ros::WallTime begin = ros::WallTime::now();
-      output_.publish(work_(task.block, parameters_.current()));
+      const OutputPtr made = work_(task.block, parameters_.current());
+      if (!made) {
+        health_.count("revisions overtaken by newer ones");
+        return;
+      }
+      output_.publish(made);
       const ros::WallTime end = ros::WallTime::now();
       health_.count("blocks worked");
       health_.finished((end - task.arrival).toSec());

@@ -15,6 +15,7 @@
 #include <map>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <thread>
 #include <vector>
 
@@ -88,12 +89,14 @@ struct OverloadLimits {
 /// Works blocks one after another on a thread of its own, so that callbacks return at once. A newer
 /// revision takes the place of one of the same pass that still waits: no block is worked in vain.
 ///
-/// Blocks of which nothing has been worked in their pass go first, then those of which less than
-/// half has, for they give plants their first values, then final ones, then updates, each in the
-/// order in which they came. Once one has waited for too long each the newest first; where too many
-/// points wait the last in that order are dropped. That ends by itself when less comes. What was
-/// last seen before another block was first seen goes before that one: what an earlier pass has
-/// found must be known by then. Thread-safe.
+/// Drafts, and blocks of which nothing has been worked in their pass, go first, for they give
+/// plants their first values, then final ones, then updates, each in the order in which they came.
+/// Once one has waited for too long each the newest first; where too many points wait the last in
+/// that order are dropped. That ends by itself when less comes. What was last seen before another
+/// block was first seen goes before that one: what an earlier pass has found must be known by then.
+///
+/// A draft need not wait for a large block that is at work already where a second thread takes
+/// drafts beside it. Thread-safe.
 template <class T>
 class BlockWorker {
  public:
@@ -108,22 +111,29 @@ class BlockWorker {
     std::size_t dropped = 0U;  ///< blocks that waited, or this one
   };
 
-  /// What the worker calls, on its thread; none may throw.
+  /// Who works drafts.
+  enum class Drafts {
+    kInTurn,  ///< the one thread that works all blocks
+    kBeside,  ///< that one and another: `work` is called by two threads at once
+  };
+  /// What the worker calls, on its threads; none may throw.
   struct Calls {
     std::function<bool()> ready;            ///< may work begin?
     std::function<void(const Task&)> work;  ///< one block
-    std::function<void()> idle;             ///< after each block, and some times a second
+    std::function<void()> idle;             ///< on one thread, between blocks
   };
 
   /// Nothing is worked before start().
   /// @param history how many blocks are kept for reworkAll()
-  BlockWorker(std::size_t history, const OverloadLimits& limits, Calls calls)
-      : limits_(limits), calls_(std::move(calls)), history_(history) {}
+  BlockWorker(std::size_t history, const OverloadLimits& limits, Calls calls,
+              Drafts drafts = Drafts::kInTurn)
+      : limits_(limits), calls_(std::move(calls)), drafts_(drafts), history_(history) {}
   ~BlockWorker() { stop(); }
 
   /// Once, when what the calls use is there, this object among it.
   void start() {
-    thread_ = std::thread([this] { run(); });
+    thread_ = std::thread([this] { run(Takes::kAll); });
+    if (drafts_ == Drafts::kBeside) beside_ = std::thread([this] { run(Takes::kDrafts); });
   }
 
   /// No call is made after this; what still waits is not worked.
@@ -134,6 +144,7 @@ class BlockWorker {
     }
     changed_.notify_all();
     if (thread_.joinable()) thread_.join();
+    if (beside_.joinable()) beside_.join();
   }
 
   BlockWorker(const BlockWorker&) = delete;
@@ -164,7 +175,7 @@ class BlockWorker {
   /// longer than `limit`.
   bool drain(std::chrono::milliseconds limit) {
     std::unique_lock<std::mutex> lock(mutex_);
-    const auto done = [this] { return waiting_.empty() && !busy_; };
+    const auto done = [this] { return waiting_.empty() && at_work_.empty(); };
     while (!done()) {
       const auto progress = [&, known = worked_count_] { return done() || worked_count_ != known; };
       if (!changed_.wait_for(lock, limit, progress)) return false;
@@ -184,11 +195,14 @@ class BlockWorker {
   }
 
  private:
+  enum class Takes { kAll, kDrafts };
+
   bool enqueue(const Pointer& block) {
     const BlockHeader& header = headerOf(*block);
     for (Task& task : waiting_) {
       const BlockHeader& other = headerOf(*task.block);
       if (!(other.index == header.index) || other.began_ns != header.began_ns) continue;
+      if (other.draft && !header.draft && !header.final) continue;  // it gives first values sooner
       task.block = block;
       return true;
     }
@@ -206,9 +220,9 @@ class BlockWorker {
   int rankOf(const Task& task) const {
     const BlockHeader& header = headerOf(*task.block);
     const auto worked = worked_.find(header.index);
-    if (worked == worked_.end() || worked->second.began_ns != header.began_ns) return 0;
-    if (pointsOf(*task.block) > 2U * worked->second.points) return 1;
-    return header.final ? 2 : 3;
+    const bool unknown = worked == worked_.end() || worked->second != header.began_ns;
+    if (header.draft || unknown) return 0;
+    return header.final ? 1 : 2;
   }
 
   /// Whether `a` is to be worked before `b` when not all can be.
@@ -235,69 +249,71 @@ class BlockWorker {
     return dropped;
   }
 
-  Task takeNext() {
+  /// Nothing where none may be worked yet.
+  std::optional<Task> takeNext(Takes takes) {
     const bool overloaded = isOverloaded();
     std::uint64_t earliest = std::numeric_limits<std::uint64_t>::max();
     for (const Task& task : waiting_) earliest = std::min(earliest, headerOf(*task.block).stamp_ns);
-    const auto must_wait = [&](const Task& task) {
-      return headerOf(*task.block).began_ns > earliest;
+    for (const std::uint64_t stamp_ns : at_work_) earliest = std::min(earliest, stamp_ns);
+    const auto may_be_worked = [&](const Task& task) {
+      const BlockHeader& header = headerOf(*task.block);
+      return header.began_ns <= earliest && (takes == Takes::kAll || header.draft);
     };
     const auto goes_first = [&](const Task& a, const Task& b) {
-      if (must_wait(a) != must_wait(b)) return must_wait(b);
+      if (may_be_worked(a) != may_be_worked(b)) return may_be_worked(a);
       return overloaded ? isWorthMore(a, b) : rankOf(a) < rankOf(b);
     };
     const auto next = std::min_element(waiting_.begin(), waiting_.end(), goes_first);
+    if (next == waiting_.end() || !may_be_worked(*next)) return std::nullopt;
     const Task task = *next;
     waiting_.erase(next);
     const BlockHeader& header = headerOf(*task.block);
     if (header.final) {
       worked_.erase(header.index);
     } else {
-      worked_[header.index] = {header.began_ns, pointsOf(*task.block)};
+      worked_[header.index] = header.began_ns;
     }
     return task;
   }
 
-  void run() {
+  void run(Takes takes) {
     std::unique_lock<std::mutex> lock(mutex_);
     while (running_) {
       const bool ready = calls_.ready();
       if (ready && !opened_) opened_ = ros::WallTime::now();
-      if (waiting_.empty() || !ready) {
+      const std::optional<Task> task = ready ? takeNext(takes) : std::nullopt;
+      if (!task) {
         changed_.wait_for(lock, std::chrono::milliseconds(100));
       } else {
-        const Task task = takeNext();
-        busy_ = true;
+        const auto at_work = at_work_.insert(headerOf(*task->block).stamp_ns);
         lock.unlock();
-        calls_.work(task);
+        calls_.work(*task);
         lock.lock();
-        busy_ = false;
+        at_work_.erase(at_work);
         ++worked_count_;
         changed_.notify_all();
       }
+      if (takes != Takes::kAll) continue;
       lock.unlock();
       calls_.idle();
       lock.lock();
     }
   }
 
-  struct Worked {
-    std::uint64_t began_ns = 0U;  // the pass
-    std::size_t points = 0U;
-  };
-
   const OverloadLimits limits_;
   Calls calls_;
+  const Drafts drafts_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
-  std::deque<Task> waiting_;             // as they came
-  std::map<BlockIndex, Worked> worked_;  // the last time that open blocks were
+  std::deque<Task> waiting_;                    // as they came
+  std::multiset<std::uint64_t> at_work_;        // newest scans of those blocks [ns]
+  std::map<BlockIndex, std::uint64_t> worked_;  // when the pass began that open blocks were in [ns]
   BlockHistory<T> history_;
   std::optional<ros::WallTime> opened_;  // since when work is done
   std::uint64_t worked_count_ = 0U;      // blocks
-  bool busy_ = false;
   bool running_ = true;
-  std::thread thread_;  // last: runs on all of the above
+  std::thread thread_;  // last: run on all of the above
+  std::thread beside_;
 };
 
 }  // namespace field_phenotyping

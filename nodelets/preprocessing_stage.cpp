@@ -413,8 +413,10 @@ bool PreprocessingStage::handOnBlocks(bool flush, std::size_t most_pending) {
 
 void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
   BlockMaker::Task task{preprocessor_.collect(index, flush), preprocessor_.parameters()};
-  preprocessor_.markHandedOn(task.points.header);
   BlockHeader& header = task.points.header;
+  const bool has_settled = !header.draft && !header.final;
+  if (has_settled) ++header.revision;  // a draft comes before it
+  preprocessor_.markHandedOn(header);
   const auto due = due_since_.find(index);
   if (due != due_since_.end()) {
     header.due_ns = due->second.toNSec();
@@ -422,6 +424,14 @@ void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
   }
   header.revision += revision_base_;
   newest_revision_ = std::max(newest_revision_, header.revision);
+  if (has_settled) {
+    // What little has come since the last draft may show further plants, whose first values should
+    // not wait for the whole block.
+    BlockMaker::Task draft = task;
+    draft.points.header.draft = true;
+    --draft.points.header.revision;
+    maker_->push(std::move(draft));
+  }
   maker_->push(std::move(task));
 }
 

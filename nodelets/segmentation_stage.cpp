@@ -26,9 +26,11 @@ SegmentationStage::SegmentationStage(ros::NodeHandle nh, ros::NodeHandle pnh,
   restorePlants(stage_.privateHandle(), stage_.health(), registry_);
   stage_.start([this](const auto& block, const auto& p) { return work(*block, p); },
                [this] {
+                 const std::lock_guard<std::mutex> lock(mutex_);
                  stems_.update(done_);
                  plants_.update(done_);
-               });
+               },
+               Stage::Drafts::kBeside);
 }
 
 SegmentationStage::~SegmentationStage() {
@@ -39,7 +41,9 @@ boost::shared_ptr<const SegmentedBlock> SegmentationStage::work(
     const Block& block, const SegmentationParameters& parameters) {
   const auto segmented =
       boost::make_shared<SegmentedBlock>(segmentBlock(block, parameters, stage_.device()));
+  const std::lock_guard<std::mutex> lock(mutex_);
   showDeviceUse(stage_.device(), stage_.health());
+  if (isOvertaken(block.header)) return nullptr;
   const PlantRegistry::Outcome outcome = registry_.identify(*segmented);
   stage_.health().show("map shift since the last pass [m]", outcome.shift.norm());
   noteOutcome(block, *segmented, parameters);
@@ -47,6 +51,15 @@ boost::shared_ptr<const SegmentedBlock> SegmentationStage::work(
   stems_.changed();
   plants_.changed();
   return segmented;
+}
+
+/// Whether a newer revision, a draft beside this one, has been named meanwhile.
+bool SegmentationStage::isOvertaken(const BlockHeader& header) {
+  NewestNamed& newest = newest_[header.index];
+  if (newest.began_ns == header.began_ns && newest.revision > header.revision) return true;
+  newest = {header.began_ns, header.revision};
+  if (header.final) newest_.erase(header.index);
+  return false;
 }
 
 void SegmentationStage::noteOutcome(const Block& block, const SegmentedBlock& segmented,

@@ -3,6 +3,9 @@
 #include <field_phenotyping/SegmentationConfig.h>
 #include <ros/ros.h>
 
+#include <cstdint>
+#include <map>
+#include <mutex>
 #include <string>
 
 #include "block_stage.hpp"
@@ -31,13 +34,22 @@ class SegmentationStage {
     double area = 0.0;                ///< [m^2]
   };
 
+  /// Revision of an open block, in its pass.
+  struct NewestNamed {
+    std::uint64_t began_ns = 0U;
+    std::uint32_t revision = 0U;
+  };
+
   boost::shared_ptr<const SegmentedBlock> work(const Block& block,
                                                const SegmentationParameters& parameters);
+  bool isOvertaken(const BlockHeader& header);
   void noteOutcome(const Block& block, const SegmentedBlock& segmented,
                    const SegmentationParameters& parameters);
   std::string whyNoPlant(const SegmentationParameters& parameters) const;
 
   Stage stage_;
+  std::mutex mutex_;  // of all below
+  std::map<BlockIndex, NewestNamed> newest_;
   PlantRegistry registry_;
   Fruitless fruitless_;
   BlockHistory<SegmentedBlock> done_;

@@ -51,6 +51,12 @@ class Bookkeeper {
   const ProgressCallback& progress_;
 };
 
+/// A segmented block, and what its points were made of.
+struct LabelledBlock {
+  std::shared_ptr<SegmentedBlock> block;
+  DensePoints dense;
+};
+
 /// The labels of voxels by tile: block clouds hold voxel centroids, which lie in their own voxel.
 class VoxelLabels {
  public:
@@ -61,10 +67,10 @@ class VoxelLabels {
 
   /// Plants reach into their neighbours' tiles; a block has the last word in its own, else the
   /// first one has it.
-  void add(const std::vector<std::shared_ptr<SegmentedBlock>>& blocks) {
+  void add(const std::vector<LabelledBlock>& blocks) {
     // What each block says, tile by tile; then what each tile hears, block by block.
     std::vector<std::map<BlockIndex, std::vector<LabelledVoxel>>> said(blocks.size());
-    parallelFor(blocks.size(), [&](std::size_t b) { said[b] = labelsOf(*blocks[b]); });
+    parallelFor(blocks.size(), [&](std::size_t b) { said[b] = labelsOf(blocks[b]); });
     for (const auto& of_block : said) {
       for (const auto& of_tile : of_block) labels_[of_tile.first];
     }
@@ -86,7 +92,7 @@ class VoxelLabels {
           if (k + kBatch < voxels.size()) labels->prefetch(voxels[k + kBatch].key);
           const LabelledVoxel& voxel = voxels[k];
           const auto [label, is_new] = labels->tryEmplace(voxel.key, voxel.label);
-          if (!is_new && tile == blocks[b]->header.index) *label = voxel.label;
+          if (!is_new && tile == blocks[b].block->header.index) *label = voxel.label;
         }
       }
     });
@@ -118,16 +124,29 @@ class VoxelLabels {
     PointLabel label;
   };
 
-  std::map<BlockIndex, std::vector<LabelledVoxel>> labelsOf(const SegmentedBlock& block) const {
+  std::map<BlockIndex, std::vector<LabelledVoxel>> labelsOf(const LabelledBlock& labelled) const {
     std::map<BlockIndex, std::vector<LabelledVoxel>> labels;
+    const SegmentedBlock& block = *labelled.block;
+    const auto note = [&](const Eigen::Vector3f& point, const PointLabel& label) {
+      const Eigen::Vector3d p = block.cloud.origin + point.cast<double>();
+      const BlockIndex tile = map_.tileAt(p.x(), p.y());
+      labels[tile].push_back({keyOf(p, tile), label});
+    };
+    std::vector<PointLabel> of_source(labelled.dense.points.size());  // more than there are
     for (const Plant& plant : block.plants) {
       if (!plant.owned) continue;
       for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
-        const Part part = i < plant.stem.end ? Part::kStem : Part::kOther;
-        const Eigen::Vector3d p = block.cloud.mapPoint(i);
-        const BlockIndex tile = map_.tileAt(p.x(), p.y());
-        labels[tile].push_back({keyOf(p, tile), {plant.id, part}});
+        const PointLabel label{plant.id, i < plant.stem.end ? Part::kStem : Part::kOther};
+        if (of_source.empty()) {
+          note(block.cloud.points[i], label);
+        } else {
+          of_source[block.source_index[i]] = label;
+        }
       }
+    }
+    for (std::size_t i = 0; i < labelled.dense.points.size(); ++i) {
+      const PointLabel& label = of_source[labelled.dense.thinned[i]];
+      if (label.plant_id >= 0) note(labelled.dense.points[i], label);
     }
     return labels;
   }
@@ -233,10 +252,11 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
 
   // 2.3, 2.4: blocks are independent of one another.
   std::vector<std::shared_ptr<SegmentedBlock>> segmented(due.size());
+  std::vector<DensePoints> dense(due.size());
   std::vector<std::uint8_t> has_soil(due.size(), 0U);
   parallelFor(due.size(), [&](std::size_t b) {
     Clock::time_point stage_start = Clock::now();
-    const Block block = preprocessor.makeBlock(due[b], true, preprocessing_device);
+    const Block block = preprocessor.makeBlock(due[b], true, preprocessing_device, &dense[b]);
     has_soil[b] = block.ground.observed() ? 1U : 0U;
     bookkeeper.add(0U, secondsSince(stage_start), block.cloud.size() + block.ground_points);
     stage_start = Clock::now();
@@ -265,7 +285,9 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
 
   VoxelLabels voxel_labels(preprocessing, tiling.corner);
   if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
-  voxel_labels.add(segmented);
+  std::vector<LabelledBlock> labelled(due.size());
+  for (std::size_t b = 0; b < due.size(); ++b) labelled[b] = {segmented[b], std::move(dense[b])};
+  voxel_labels.add(labelled);
   for (std::size_t b = 0; b < due.size(); ++b) {
     result.plants.insert(result.plants.end(), measured[b].begin(), measured[b].end());
     if (has_soil[b] == 0U) ++result.blocks_without_soil;

@@ -31,6 +31,8 @@ struct PreprocessingParameters {
   double ground_distance = 0.04;
   double ground_max_tilt = 25.0;
   double ground_min_coverage = 0.25;
+  double max_density = 90000.0;
+  double draft_density = 8000.0;
   double update_period = 2.0;
   double update_min_change = 0.5;
   double final_after = 5.0;
@@ -73,6 +75,15 @@ struct PreprocessingParameters {
             "ground_min_coverage", "",
             "share of the seen area that must show soil, else the soil counts as cropped away"},
         p.ground_min_coverage, 0.01, 1.0);
+    v(ParameterInfo{"max_density", "1/m^2",
+                    "a block with more points above the soil is thinned to wider voxels: more "
+                    "tell no more of its plants"},
+      p.max_density, 1000.0, 1e9);
+    v(
+        ParameterInfo{
+            "draft_density", "1/m^2",
+            "the same of a block that has just changed, whose plants' first values must come soon"},
+        p.draft_density, 1000.0, 1e9);
     v(ParameterInfo{"update_period", "s",
                     "a block that changed is handed on again after this long"},
       p.update_period, 0.1, 600.0);

@@ -27,6 +27,7 @@ struct TileState {
   std::size_t old_voxels = 0U;      // of the tile, when it was last handed on
   std::uint32_t revision = 0U;
   bool dirty = false;  // anything in the block changed since it was last handed on
+  bool draft = false;  // handed on as a draft, and no better since
   bool final = false;  // handed on as final since its last change
   bool evict = false;  // to be finished and forgotten: memory is short
 };
@@ -78,10 +79,10 @@ PointCloud select(const PointCloud& cloud, const std::vector<std::uint8_t>& flag
 }  // namespace
 
 Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
-                  const ComputeDevice& device) {
+                  const ComputeDevice& device, DensePoints* before_thinning) {
   Block block;
   block.header = std::move(points.header);
-  // 1. Without outliers; 2. the soil; 3. taken out.
+  // 1. Without outliers; 2. the soil; 3. taken out; 4. thinned.
   const auto keep = radiusOutlierFilter(points.cloud, static_cast<float>(parameters.outlier_radius),
                                         parameters.outlier_min_neighbors, device);
   const PointCloud cloud = select(points.cloud, keep, 1U);
@@ -90,6 +91,9 @@ Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
   block.cloud = select(cloud, is_ground, 0U);
   block.ground_points = static_cast<std::uint32_t>(cloud.size() - block.cloud.size());
   block.feet = select(cloud, soilAtFeet(cloud, block.ground, is_ground), 1U);
+  const double density = block.header.draft ? parameters.draft_density : parameters.max_density;
+  DensePoints dense = thin(block.cloud, block.feet, density, parameters.voxel_size);
+  if (before_thinning != nullptr) *before_thinning = std::move(dense);
   return block;
 }
 
@@ -139,6 +143,7 @@ struct Preprocessor::Impl {
                           Visit&& visit) const;
   void chooseEvictions();
   bool isFinal(const TileState& state) const;
+  bool hasChanged(const TileState& state) const;
   bool mayForget(const BlockIndex& index, const TileState& state) const;
 
   PreprocessingParameters parameters;
@@ -367,6 +372,13 @@ bool Preprocessor::Impl::isFinal(const TileState& state) const {
          static_cast<double>(newest_ns - state.touched_ns) * kNanosecond >= parameters.final_after;
 }
 
+/// Whether so much is new that a draft of it is due.
+bool Preprocessor::Impl::hasChanged(const TileState& state) const {
+  const double least = parameters.update_min_change *
+                       static_cast<double>(std::max<std::size_t>(state.old_voxels, 1U));
+  return state.dirty && static_cast<double>(state.new_voxels) >= least;
+}
+
 bool Preprocessor::Impl::mayForget(const BlockIndex& index, const TileState& state) const {
   if (state.evict) return true;
   const Eigen::Vector2d away = map.originOf(index).head<2>() - scan_center;
@@ -413,6 +425,8 @@ ScanReport Preprocessor::addScan(const Scan& scan, const Eigen::Isometry3d& T_ma
 }
 
 std::vector<BlockIndex> Preprocessor::dueBlocks(bool flush) const {
+  constexpr double kSettled = 2.5;  // update periods without much that is new
+  const double period = impl_->parameters.update_period;
   std::vector<BlockIndex> due;
   for (const auto& [index, state] : impl_->states) {
     if (state.final && !state.dirty) continue;
@@ -421,13 +435,8 @@ std::vector<BlockIndex> Preprocessor::dueBlocks(bool flush) const {
       continue;
     }
     const double age = static_cast<double>(impl_->newest_ns - state.handed_on_ns) * kNanosecond;
-    const bool changed_enough =
-        static_cast<double>(state.new_voxels) >=
-        impl_->parameters.update_min_change *
-            static_cast<double>(std::max<std::size_t>(state.old_voxels, 1U));
-    if (state.dirty && changed_enough && age >= impl_->parameters.update_period) {
-      due.push_back(index);
-    }
+    const bool has_settled = state.draft && age >= kSettled * period;
+    if (has_settled || (impl_->hasChanged(state) && age >= period)) due.push_back(index);
   }
   std::stable_sort(due.begin(), due.end(), [this](const BlockIndex& a, const BlockIndex& b) {
     return impl_->states.at(a).handed_on_ns < impl_->states.at(b).handed_on_ns;
@@ -443,9 +452,9 @@ std::size_t Preprocessor::finishedBlocks() const {
       }));
 }
 
-Block Preprocessor::makeBlock(const BlockIndex& index, bool flush,
-                              const ComputeDevice& device) const {
-  return finishBlock(collect(index, flush), impl_->parameters, device);
+Block Preprocessor::makeBlock(const BlockIndex& index, bool flush, const ComputeDevice& device,
+                              DensePoints* before_thinning) const {
+  return finishBlock(collect(index, flush), impl_->parameters, device, before_thinning);
 }
 
 BlockPoints Preprocessor::collect(const BlockIndex& index, bool flush) const {
@@ -456,15 +465,17 @@ BlockPoints Preprocessor::collect(const BlockIndex& index, bool flush) const {
   block.header.index = index;
   block.header.tile_size = p.block_size;
   block.header.tile_corner = impl_->tile_corner;
-  block.header.margin = p.block_margin;
   const auto state = impl_->states.find(index);
   if (state != impl_->states.end()) {
     block.header.began_ns = state->second.began_ns;
     block.header.revision = state->second.revision + 1U;
     block.header.final = flush || impl_->isFinal(state->second);
+    block.header.draft = !block.header.final && impl_->hasChanged(state->second);
   }
 
-  block.cloud = impl_->map.extract(index, p.block_margin);
+  constexpr double kDraftMargin = 0.5;  // of the margin: a stem and what stands above it
+  block.header.margin = (block.header.draft ? kDraftMargin : 1.0) * p.block_margin;
+  block.cloud = impl_->map.extract(index, block.header.margin);
   return block;
 }
 
@@ -478,6 +489,7 @@ void Preprocessor::markHandedOn(const BlockHeader& block) {
   handed.old_voxels = tile == nullptr ? 0U : tile->size();
   handed.new_voxels = 0U;
   handed.dirty = false;
+  handed.draft = block.draft;
   handed.final = block.final;
 
   for (auto state = impl_->states.begin(); state != impl_->states.end();) {

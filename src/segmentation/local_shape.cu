@@ -31,7 +31,7 @@ __global__ void shapePoints(GridView grid, std::uint32_t chunk, float radius,
   const std::uint32_t begin = blockIdx.x * chunk;
   const std::uint32_t end = grid.size - begin < chunk ? grid.size : begin + chunk;
   shapeMomentsOfChunk(GpuTeam(), grid, begin, end, radius, SharedTile{{x, y, z, kTile}},
-                     StoreInSourceOrder{grid.order, shapes});
+                      StoreInSourceOrder{grid.order, shapes});
 }
 
 }  // namespace

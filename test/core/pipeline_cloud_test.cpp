@@ -135,9 +135,9 @@ TEST(Pipeline, TilesAreWidenedWhereMarginsCostMuch) {
   EXPECT_EQ(phenotypeCloud(strip.cloud, Parameters()).blocks.size(), 2U);
 }
 
-TEST(Pipeline, LabelsAreThoseOfTheInputPoints) {
+void expectLabelsOfTheInputPoints(const Parameters& parameters) {
   const Scene& scene = borderField();
-  const PipelineResult result = phenotypeCloud(scene.cloud, smallTiles());
+  const PipelineResult result = phenotypeCloud(scene.cloud, parameters);
   ASSERT_EQ(result.labels.size(), scene.cloud.size());
   const auto matches = matchBases(testing::basesOf(scene), basesOf(result));
   std::map<std::int32_t, int> truth_of;
@@ -169,6 +169,25 @@ TEST(Pipeline, LabelsAreThoseOfTheInputPoints) {
   EXPECT_GT(stems.f1, 0.85);
   EXPECT_GT(right / plant_points, 0.85);
   EXPECT_LT(soil_taken / soil, 0.01);
+}
+
+TEST(Pipeline, LabelsAreThoseOfTheInputPoints) {
+  expectLabelsOfTheInputPoints(smallTiles());
+}
+
+TEST(Pipeline, LabelsAreThoseOfTheInputPointsAlsoWhereTheyAreThinned) {
+  Parameters parameters = smallTiles();
+  parameters.preprocessing.max_density = 2000.0;
+  std::size_t points = 0U;
+  std::size_t thinned_points = 0U;
+  for (const auto& block : phenotypeCloud(borderField().cloud, smallTiles()).blocks) {
+    points += block->segmented->cloud.size();
+  }
+  for (const auto& block : phenotypeCloud(borderField().cloud, parameters).blocks) {
+    thinned_points += block->segmented->cloud.size();
+  }
+  ASSERT_LT(3U * thinned_points, 2U * points);
+  expectLabelsOfTheInputPoints(parameters);
 }
 
 TEST(Pipeline, PointsOfOneVoxelShareALabel) {

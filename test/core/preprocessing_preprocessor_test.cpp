@@ -178,7 +178,8 @@ TEST(Preprocessor, BlockKnowsWhatItIs) {
   EXPECT_EQ(block.header.revision, 1U);
   EXPECT_FALSE(block.header.final);
   EXPECT_DOUBLE_EQ(block.header.tile_size, preprocessor.parameters().block_size);
-  EXPECT_DOUBLE_EQ(block.header.margin, preprocessor.parameters().block_margin);
+  EXPECT_DOUBLE_EQ(preprocessor.makeBlock({-1, 0}, true).header.margin,
+                   preprocessor.parameters().block_margin);
   EXPECT_TRUE(preprocessor.makeBlock({-1, 0}, true).header.final);
   preprocessor.markHandedOn(block.header);
   EXPECT_EQ(preprocessor.makeBlock({-1, 0}, false).header.revision, 2U);
@@ -309,6 +310,58 @@ TEST(Preprocessor, DueWhenChangedEnoughAndNotTooSoon) {
   EXPECT_FALSE(isDue(preprocessor, index)) << "handed on a second ago";
   preprocessor.addScan(patch(1.8, 1.9, kStart + 5U * kSecond + kSecond / 10U), kIdentity);
   EXPECT_TRUE(isDue(preprocessor, index));
+}
+
+TEST(Preprocessor, WhatHasChangedIsADraftAndABetterBlockFollowsOnceItHasSettled) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.update_period = 2.0;
+  parameters.final_after = 1000.0;
+  parameters.block_margin = 0.6;
+  Preprocessor preprocessor(parameters, "map");
+  const BlockIndex index{0, 0};
+  preprocessor.addScan(patch(0.2, 1.2, kStart), kIdentity);
+  const BlockPoints first = preprocessor.collect(index, false);
+  EXPECT_TRUE(first.header.draft);
+  EXPECT_DOUBLE_EQ(first.header.margin, 0.3) << "narrow: it is to be quick";
+  preprocessor.markHandedOn(first.header);
+
+  preprocessor.addScan(patch(1.2, 1.3, kStart + 4U * kSecond), kIdentity);
+  EXPECT_FALSE(isDue(preprocessor, index)) << "little is new";
+  preprocessor.addScan(patch(1.2, 1.3, kStart + 5U * kSecond), kIdentity);
+  ASSERT_TRUE(isDue(preprocessor, index)) << "nor does more come";
+  const BlockPoints settled = preprocessor.collect(index, false);
+  EXPECT_FALSE(settled.header.draft);
+  EXPECT_FALSE(settled.header.final);
+  EXPECT_DOUBLE_EQ(settled.header.margin, 0.6);
+  preprocessor.markHandedOn(settled.header);
+
+  preprocessor.addScan(patch(1.3, 1.4, kStart + 20U * kSecond), kIdentity);
+  EXPECT_FALSE(isDue(preprocessor, index)) << "once is enough";
+  preprocessor.addScan(patch(1.4, 1.9, kStart + 21U * kSecond), kIdentity);
+  ASSERT_TRUE(isDue(preprocessor, index));
+  EXPECT_TRUE(preprocessor.collect(index, false).header.draft) << "much is new";
+  EXPECT_FALSE(preprocessor.collect(index, true).header.draft) << "the last is no draft";
+}
+
+TEST(Preprocessor, DraftsAreThinnerThanWhatFollows) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.draft_density = 1000.0;
+  parameters.max_density = 2000.0;
+  const Scene scene = smallField();
+  BlockPoints points;
+  points.cloud = scene.cloud;
+  points.header.draft = true;
+  DensePoints before;
+  const Block draft = finishBlock(points, parameters, {}, &before);
+  ASSERT_EQ(before.thinned.size(), before.points.size());
+  points.header.draft = false;
+  const Block whole = finishBlock(points, parameters);
+  parameters.max_density = 1e9;
+  const Block all = finishBlock(points, parameters);
+  EXPECT_LT(draft.cloud.size(), whole.cloud.size());
+  EXPECT_LT(whole.cloud.size(), all.cloud.size());
+  EXPECT_EQ(all.cloud.points, before.points);
+  EXPECT_EQ(draft.ground_points, all.ground_points) << "soil is found among all points";
 }
 
 TEST(Preprocessor, FinalWhenNoScanReachesItAnyMore) {

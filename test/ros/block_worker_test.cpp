@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <boost/make_shared.hpp>
 #include <chrono>
 #include <condition_variable>
@@ -22,12 +23,13 @@ constexpr std::uint64_t kBegan = 1700000000U * kSecond;
 /// A worker that takes one block each time that it is let.
 class SlowWorker {
  public:
-  explicit SlowWorker(const OverloadLimits& limits) {
+  explicit SlowWorker(const OverloadLimits& limits,
+                      BlockWorker<Block>::Drafts drafts = BlockWorker<Block>::Drafts::kInTurn) {
     BlockWorker<Block>::Calls calls;
     calls.ready = [] { return true; };
     calls.work = [this](const BlockWorker<Block>::Task& task) { work(task.block->header); };
     calls.idle = [] {};
-    worker_ = std::make_unique<BlockWorker<Block>>(16U, limits, std::move(calls));
+    worker_ = std::make_unique<BlockWorker<Block>>(16U, limits, std::move(calls), drafts);
     worker_->start();
     // The first one keeps it busy, so that all others wait.
     push(100, 0U, false);
@@ -40,14 +42,28 @@ class SlowWorker {
   }
 
   BlockWorker<Block>::Arrival push(int x, std::uint64_t second, bool final,
-                                   std::size_t points = 10U, std::uint64_t began = 0U) {
+                                   std::size_t points = 10U, std::uint64_t began = 0U,
+                                   bool draft = false) {
     const auto block = boost::make_shared<Block>();
+    block->header.draft = draft;
     block->header.index = {x, 0};
     block->header.began_ns = kBegan + began * kSecond;
     block->header.stamp_ns = kBegan + second * kSecond;
     block->header.final = final;
     block->cloud.points.resize(points, Eigen::Vector3f::Zero());
     return worker_->push(block);
+  }
+
+  BlockWorker<Block>::Arrival pushDraft(int x, std::uint64_t second, std::uint64_t began = 0U) {
+    return push(x, second, false, 10U, began, true);
+  }
+
+  /// Whether it begins to work on a block soon.
+  bool hasBegun(int x) {
+    std::unique_lock<std::mutex> lock(mutex_);
+    return changed_.wait_for(lock, std::chrono::milliseconds(500), [&] {
+      return std::find(worked_.begin(), worked_.end(), x) != worked_.end();
+    });
   }
 
   /// Lets it finish what it works on, and waits until it has begun the next.
@@ -107,22 +123,46 @@ TEST(BlockWorker, WorksBlocksAsTheyComeWhileItKeepsUp) {
   EXPECT_EQ(worker.finishAll(), (std::vector<int>{0, 1, 2, 3, 4}));
 }
 
-TEST(BlockWorker, BlocksOfWhichLittleIsKnownGoFirst) {
+TEST(BlockWorker, WhatGivesFirstValuesGoesFirst) {
   SlowWorker worker(kNever);
   worker.push(101, 1U, false);
   worker.finishOne();  // now 101 is at work
-  worker.push(101, 2U, false, 15U);
-  worker.push(100, 3U, true, 15U);
-  EXPECT_TRUE(worker.push(101, 4U, false, 18U).replaced);
+  worker.push(101, 2U, false);
+  worker.push(100, 3U, true);
+  EXPECT_TRUE(worker.push(101, 4U, false).replaced);
   worker.push(0, 5U, false);
   EXPECT_EQ(worker.finishAll(), (std::vector<int>{101, 0, 100, 101})) << "an update comes last";
 
   SlowWorker other(kNever);
   other.push(101, 1U, false);
   other.finishOne();
-  other.push(100, 2U, true, 15U);
-  other.push(101, 3U, false, 30U);
-  EXPECT_EQ(other.finishAll(), (std::vector<int>{101, 101, 100})) << "most of it is new";
+  other.push(100, 2U, true);
+  other.pushDraft(101, 3U);
+  EXPECT_EQ(other.finishAll(), (std::vector<int>{101, 101, 100})) << "a draft comes first";
+}
+
+TEST(BlockWorker, ADraftIsReplacedByNewerDraftsAndFinalBlocksOnly) {
+  SlowWorker worker(kNever);
+  worker.pushDraft(100, 1U);
+  EXPECT_TRUE(worker.pushDraft(100, 2U).replaced);
+  EXPECT_FALSE(worker.push(100, 3U, false).replaced);
+  EXPECT_EQ(worker.waiting(), 2U);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{100, 100}));
+
+  SlowWorker other(kNever);
+  other.pushDraft(100, 1U);
+  EXPECT_TRUE(other.push(100, 2U, true).replaced);
+  EXPECT_EQ(other.finishAll(), (std::vector<int>{100}));
+}
+
+TEST(BlockWorker, ADraftNeedNotWaitForTheBlockAtWork) {
+  SlowWorker worker(kNever, BlockWorker<Block>::Drafts::kBeside);
+  worker.push(1, 1U, false);
+  worker.pushDraft(0, 2U);
+  EXPECT_TRUE(worker.hasBegun(0)) << "while 100 is still at work";
+  EXPECT_FALSE(worker.hasBegun(1));
+  worker.pushDraft(2, 30U, 20U);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{0, 1, 2})) << "of the next pass: it has to wait";
 }
 
 TEST(BlockWorker, AnEarlierPassIsFinishedFirst) {

@@ -31,6 +31,7 @@ BlockHeader someHeader() {
   header.index = {-7, 9};
   header.revision = 4U;
   header.final = true;
+  header.draft = true;
   header.tile_size = 2.5;
   header.tile_corner = {-0.7, 12.3};
   header.margin = 0.4;
@@ -108,6 +109,7 @@ void expectSame(const BlockHeader& a, const BlockHeader& b) {
   EXPECT_TRUE(a.index == b.index);
   EXPECT_EQ(a.revision, b.revision);
   EXPECT_EQ(a.final, b.final);
+  EXPECT_EQ(a.draft, b.draft);
   EXPECT_EQ(a.tile_size, b.tile_size);
   EXPECT_EQ(a.tile_corner, b.tile_corner);
   EXPECT_EQ(a.margin, b.margin);
@@ -206,6 +208,7 @@ TEST(Wire, IsThatOfTheGeneratedMessages) {
   EXPECT_EQ(block.info.header.stamp.toNSec(), 1604515190000000123U);
   EXPECT_EQ(block.info.index_y, 9);
   EXPECT_TRUE(block.info.final);
+  EXPECT_TRUE(block.info.draft);
   EXPECT_EQ(block.cloud.origin.y, 5411932.0);
   ASSERT_EQ(block.cloud.points.size(), 5U);
   EXPECT_EQ(block.cloud.points[4].z, -4.0F);

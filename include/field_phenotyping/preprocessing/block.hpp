@@ -32,6 +32,7 @@ struct BlockHeader {
   BlockIndex index;
   std::uint32_t revision = 0U;  ///< counts how often this block has been handed on, from 1
   bool final = false;           ///< no further scan is expected to reach this block
+  bool draft = false;           ///< thinned so that first values come soon; better ones follow
   double tile_size = 4.0;       ///< [m]
   Eigen::Vector2d tile_corner = Eigen::Vector2d::Zero();  ///< of tile (0, 0) [m], in the map frame
   double margin = 0.6;  ///< [m] of the neighbours' points that go with the tile

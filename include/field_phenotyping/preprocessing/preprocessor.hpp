@@ -10,6 +10,7 @@
 #include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
+#include "field_phenotyping/preprocessing/thinning.hpp"
 
 namespace field_phenotyping {
 
@@ -36,9 +37,11 @@ struct BlockPoints {
   PointCloud cloud;  ///< voxel centroids of the tile and its margin, soil and outliers among them
 };
 
-/// The steps of 2.3 that need no map: outliers and soil are taken out. Thread-safe.
+/// The steps of 2.3 that need no map: outliers and soil are taken out, and what is so dense that
+/// more points tell no more is thinned. Thread-safe.
+/// @param before_thinning is given the points that the block's are made of, for who labels them
 Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
-                  const ComputeDevice& device = {});
+                  const ComputeDevice& device = {}, DensePoints* before_thinning = nullptr);
 
 /// First stage: scans in, blocks out (paper 2.3). Scans accumulate in a voxel map that is kept tile
 /// by tile; a tile that changed enough, or is final, is handed on as a block with outliers and soil
@@ -64,9 +67,10 @@ class Preprocessor {
   ScanReport addScan(const Scan& scan, const Eigen::Isometry3d& T_map_sensor,
                      const ComputeDevice& device = {});
 
-  /// Blocks worth working now: changed enough since they were handed on, or no longer reached by
-  /// scans. `flush`: every block that changed at all, as final. Those that were handed on longest
-  /// ago, or never, come first.
+  /// Blocks worth working now: changed enough since they were handed on, which makes drafts of
+  /// them; handed on as drafts and settled since; or no longer reached by scans. `flush`: every
+  /// block that changed at all, as final. Those that were handed on longest ago, or never, come
+  /// first.
   std::vector<BlockIndex> dueBlocks(bool flush) const;
 
   /// How many of them no scan reaches any more: they are held only until they are handed on.
@@ -76,7 +80,8 @@ class Preprocessor {
   BlockPoints collect(const BlockIndex& index, bool flush) const;
 
   /// Builds block `index` from what has accumulated. Thread-safe against other makeBlock().
-  Block makeBlock(const BlockIndex& index, bool flush, const ComputeDevice& device = {}) const;
+  Block makeBlock(const BlockIndex& index, bool flush, const ComputeDevice& device = {},
+                  DensePoints* before_thinning = nullptr) const;
 
   /// Notes that `block` has been handed on, or collected to be: its tile is not due again until it
   /// changes; final tiles far from the sensor are forgotten.

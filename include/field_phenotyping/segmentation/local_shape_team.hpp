@@ -44,7 +44,7 @@ FIELD_PHENOTYPING_HD ShapeOfAxes<Float> shapeOfAxes(
   const Float most = axes.values[2];
   const principal_axes::Vector<Float>& along = axes.axes[2];
   const principal_axes::Vector<Float> opposite{-along.x, -along.y, -along.z};
-  return {Lanes::chosen(most > 0.0F, Lanes::all(1.0F), none),
+  return {Lanes::choose(most > 0.0F, Lanes::all(1.0F), none),
           principal_axes::chosen<Lanes>(along.z < 0.0F, opposite, along), axes.axes[0],
           (most - middle) / most, least / (least + (middle + most))};
 }
