@@ -190,7 +190,7 @@ struct Tiling {
 
 /// Margins are worked by all tiles that they lie in: tiles begin where fewest cover the cloud, and
 /// are up to half as wide again as asked for where that leaves less to work, and up to twice as
-/// wide where that leaves clearly less: larger ones take more memory. There are no scans to wait
+/// wide where it leaves much less: they are also what processors share. There are no scans to wait
 /// for.
 Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& parameters) {
   const Eigen::Array2d least(parameters.min_x, parameters.min_y);
@@ -213,7 +213,7 @@ Tiling leastWork(const PointCloud& cloud, const PreprocessingParameters& paramet
   constexpr int kSteps = 20;
   constexpr double kWide = 1.5;    // of what is asked for
   constexpr double kWidest = 2.0;  // the same
-  constexpr double kMuch = 0.03;   // of the work
+  constexpr double kMuch = 0.1;    // of the work
   double edge = wanted;
   for (int k = 1; k <= kSteps; ++k) {
     const double wider = wanted * (1.0 + (kWidest - 1.0) * k / kSteps);

@@ -77,13 +77,11 @@ std::vector<std::uint8_t> filter(Search& search, std::size_t points, float radiu
   constexpr std::size_t kSamples = 400U;
   const auto step = static_cast<std::uint32_t>(std::max<std::size_t>(1U, points / kSamples));
   constexpr int kMaxDoublings = 3;
-  // Stems between leaves, and tips, are seen by far fewer points than the typical place.
-  constexpr std::uint32_t kTypical = 16U;  // times what is asked for
   search.build(radius);
   for (int doubling = 0; doubling < kMaxDoublings; ++doubling) {
     // The point finds itself.
     const std::uint32_t typical = medianOf(search.sampleCounts(radius, step)) - 1U;
-    if (typical >= kTypical * min_neighbors) break;
+    if (typical >= 2U * min_neighbors) break;
     radius *= 2.0F;
     search.build(radius);
   }

@@ -128,13 +128,6 @@ TEST(Pipeline, NoMoreTilesThanTheCloudNeeds) {
   }
 }
 
-TEST(Pipeline, TilesAreWidenedWhereMarginsCostMuch) {
-  // Of 4 m, three tiles would work 2.4 m twice, and two of up to 8 m half of that.
-  Scene strip(testing::slopingSoil(3.0, 20.0), 1U);
-  strip.addSoil({0.0, 0.0}, {12.9, 1.0}, 500.0);
-  EXPECT_EQ(phenotypeCloud(strip.cloud, Parameters()).blocks.size(), 2U);
-}
-
 void expectLabelsOfTheInputPoints(const Parameters& parameters) {
   const Scene& scene = borderField();
   const PipelineResult result = phenotypeCloud(scene.cloud, parameters);

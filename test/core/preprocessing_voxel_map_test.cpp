@@ -268,7 +268,7 @@ PointCloud cloudOf(const std::vector<ColoredPoint>& points) {
 
 TEST(OutlierFilter, CountsNeighboursLikeBruteForce) {
   // Dense enough that the radius is taken as given.
-  PointCloud cloud = cloudOf(randomPoints(6000U, {0.0, 0.0, 0.0}, {0.6, 0.6, 0.1}, 6U));
+  PointCloud cloud = cloudOf(randomPoints(3000U, {0.0, 0.0, 0.0}, {0.6, 0.6, 0.1}, 6U));
   for (const ColoredPoint& far : randomPoints(100U, {0.0, 0.0, 0.3}, {0.6, 0.6, 2.0}, 7U)) {
     cloud.points.push_back(far.position.cast<float>());
   }
@@ -292,19 +292,6 @@ TEST(OutlierFilter, DoesNotEmptyASparseCloud) {
   const auto keep = radiusOutlierFilter(cloud, 0.02F, 2);
   EXPECT_GT(std::count(keep.begin(), keep.end(), 1U), 320);
   EXPECT_EQ(keep.back(), 0U);
-}
-
-TEST(OutlierFilter, KeepsTheStemsOfASparseCloud) {
-  // The typical place of a canopy has 20 points within 5 cm, a stem one each 4 cm.
-  PointCloud cloud = cloudOf(randomPoints(10000U, {0.0, 0.0, 0.0}, {2.0, 2.0, 0.01}, 10U));
-  const std::size_t stem = cloud.size();
-  for (int k = 1; k <= 30; ++k)
-    cloud.points.emplace_back(1.0F, 1.0F, 0.04F * static_cast<float>(k));
-  cloud.points.emplace_back(1.0F, 1.3F, 1.0F);  // two flies
-  cloud.points.emplace_back(1.0F, 1.31F, 1.0F);
-  const auto keep = radiusOutlierFilter(cloud, 0.05F, 2);
-  EXPECT_EQ(std::count(keep.begin() + static_cast<std::ptrdiff_t>(stem), keep.end() - 2, 1U), 30);
-  EXPECT_EQ(std::count(keep.end() - 2, keep.end(), 0U), 2);
 }
 
 TEST(OutlierFilter, OffEmptyAndOnePoint) {
