@@ -78,6 +78,19 @@ class BlockHistory {
   std::deque<Pointer> blocks_;
 };
 
+/// Waits until `done()`, however long that is, while `count` goes on to change; false once it has
+/// not for `limit`. All of that, and `changed`, belongs to the mutex of `lock`.
+template <class Done>
+bool waitWhileItGoesOn(std::condition_variable& changed, std::unique_lock<std::mutex>& lock,
+                       std::chrono::milliseconds limit, const std::uint64_t& count,
+                       const Done& done) {
+  while (!done()) {
+    const auto progress = [&, known = count] { return done() || count != known; };
+    if (!changed.wait_for(lock, limit, progress)) return false;
+  }
+  return true;
+}
+
 /// When a stage counts as overloaded, and what it holds then.
 struct OverloadLimits {
   /// A block that waits longer than this means that more comes than can be worked.
@@ -175,12 +188,8 @@ class BlockWorker {
   /// longer than `limit`.
   bool drain(std::chrono::milliseconds limit) {
     std::unique_lock<std::mutex> lock(mutex_);
-    const auto done = [this] { return waiting_.empty() && at_work_.empty(); };
-    while (!done()) {
-      const auto progress = [&, known = worked_count_] { return done() || worked_count_ != known; };
-      if (!changed_.wait_for(lock, limit, progress)) return false;
-    }
-    return true;
+    return waitWhileItGoesOn(changed_, lock, limit, worked_count_,
+                             [this] { return waiting_.empty() && at_work_.empty(); });
   }
 
   std::size_t waiting() const {

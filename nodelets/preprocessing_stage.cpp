@@ -113,13 +113,8 @@ bool PreprocessingStage::flush(std_srvs::Trigger::Request&, std_srvs::Trigger::R
   std::unique_lock<std::mutex> lock(mutex_);
   const std::uint64_t wanted = ++flushes_wanted_;
   changed_.notify_all();
-  const auto done = [&] { return flushes_done_ >= wanted || !running_; };
-  // However long it is: a long drive may leave many blocks.
-  for (std::uint64_t known = blocks_made_; !done(); known = blocks_made_) {
-    if (!changed_.wait_for(lock, kFlushStalled, [&] { return done() || blocks_made_ != known; }))
-      break;
-  }
-  response.success = done();
+  response.success = waitWhileItGoesOn(changed_, lock, kFlushStalled, blocks_made_,
+                                       [&] { return flushes_done_ >= wanted || !running_; });
   response.message =
       response.success ? "all blocks are handed on" : "no block was ready within 120 s";
   return true;

@@ -77,7 +77,7 @@ struct PreprocessingParameters {
         p.ground_min_coverage, 0.01, 1.0);
     v(ParameterInfo{"max_density", "1/m^2",
                     "a block with more points above the soil is thinned to wider voxels: more "
-                    "tell no more of its plants"},
+                    "tell little more of its plants"},
       p.max_density, 1000.0, 1e9);
     v(
         ParameterInfo{

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/normal_distribution.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -222,7 +223,6 @@ void MeasuredSurface::estimateNoise(const SurfacePrior& prior) {
   constexpr double kLeast = 0.005;  // [m] clouds are thinned: points nearer to one another across
                                     // the stem than its voxels differ all the more along it
   constexpr double kWidest = 2.0;   // times as much
-  constexpr double kMadToSigma = 1.4826;
   constexpr double kRelativeError = 1.65;  // of the square, for one pair
   const auto varianceOf = [&](std::vector<float> differences) {
     const double sigma = kMadToSigma * static_cast<double>(medianOf(std::move(differences)));

@@ -60,18 +60,13 @@ struct PlacedPoints {
 
 PointCloud select(const PointCloud& cloud, const std::vector<std::uint8_t>& flags,
                   std::uint8_t wanted) {
-  PointCloud kept;
-  kept.origin = cloud.origin;
-  kept.scan_origins = cloud.scan_origins;
+  PointCloud kept = cloud.emptyAlike();
   const auto count = static_cast<std::size_t>(std::count(flags.begin(), flags.end(), wanted));
   kept.points.reserve(count);
   if (cloud.hasColors()) kept.colors.reserve(count);
   if (cloud.hasScanOrigins()) kept.scan_origin.reserve(count);
   for (std::size_t i = 0; i < flags.size(); ++i) {
-    if (flags[i] != wanted) continue;
-    kept.points.push_back(cloud.points[i]);
-    if (cloud.hasColors()) kept.colors.push_back(cloud.colors[i]);
-    if (cloud.hasScanOrigins()) kept.scan_origin.push_back(cloud.scan_origin[i]);
+    if (flags[i] == wanted) kept.take(cloud, i);
   }
   return kept;
 }

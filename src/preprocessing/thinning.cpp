@@ -42,15 +42,9 @@ double coveredArea(const std::vector<Eigen::Vector3f>& points) {
 
 /// The first point of each voxel.
 PointCloud firstOf(const PointCloud& cloud, const Voxels& voxels) {
-  PointCloud out;
-  out.origin = cloud.origin;
-  out.scan_origins = cloud.scan_origins;
+  PointCloud out = cloud.emptyAlike();
   out.points.reserve(voxels.first.size());
-  for (const std::uint32_t i : voxels.first) {
-    out.points.push_back(cloud.points[i]);
-    if (cloud.hasColors()) out.colors.push_back(cloud.colors[i]);
-    if (cloud.hasScanOrigins()) out.scan_origin.push_back(cloud.scan_origin[i]);
-  }
+  for (const std::uint32_t i : voxels.first) out.take(cloud, i);
   return out;
 }
 

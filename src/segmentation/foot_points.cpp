@@ -9,23 +9,14 @@
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/segmentation/stem_foot.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 constexpr float kPi = 3.14159265F;
-constexpr float kReach = 0.035F;       // [m] of a foot about the stem's surface
-constexpr float kDeviation = 1.4826F;  // standard deviation over median absolute deviation
-
-float normalDensity(float off, float stddev) {
-  return std::exp(-0.5F * off * off / (stddev * stddev)) / (std::sqrt(2.0F * kPi) * stddev);
-}
-
-/// Of a normal deviate of standard deviation 1.
-float shareBelow(float value) {
-  return 0.5F * std::erfc(-value / std::sqrt(2.0F));
-}
+constexpr float kReach = 0.035F;  // [m] of a foot about the stem's surface
 
 /// Middle and standard deviation of values of which a few are wild. There must be some.
 struct Spread {
@@ -38,7 +29,7 @@ Spread spreadOf(const std::vector<float>& values, float least) {
   std::vector<float> off;
   off.reserve(values.size());
   for (const float value : values) off.push_back(std::abs(value - middle));
-  return {middle, std::max(least, kDeviation * medianOf(std::move(off)))};
+  return {middle, std::max(least, static_cast<float>(kMadToSigma) * medianOf(std::move(off)))};
 }
 
 /// A stem's point not far above the soil.
@@ -145,10 +136,10 @@ std::vector<std::int32_t> findFootPoints(const Block& block, const std::vector<S
       // Points a volume: [1/m^3].
       const float outside = (candidate.distance - stem->radius) / stem->stddev;
       const float height = (candidate.height - soil.height) / soil.stddev;
-      const float of_stem = stem->density * shareBelow(height) *
+      const float of_stem = stem->density * normalShareBelow(height) *
                             normalDensity(candidate.distance - stem->radius, stem->stddev) /
                             (2.0F * kPi * std::max(candidate.distance, stem->radius));
-      const float of_soil = soil.density * shareBelow(outside) *
+      const float of_soil = soil.density * normalShareBelow(outside) *
                             normalDensity(candidate.height - soil.height, soil.stddev);
       if (of_stem > of_soil && of_stem > best[candidate.index]) {
         best[candidate.index] = of_stem;

@@ -15,6 +15,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/minimum_cut.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/neighborhood.hpp"
@@ -1023,7 +1024,6 @@ float shapeRadius(float noise) {
 /// Standard deviation of the points across a surface [m], which the stems show.
 float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
               const std::vector<std::int32_t>& owner) {
-  constexpr float kNormal = 1.4826F;  // standard deviation of a median absolute deviation
   std::vector<float> off;
   for (std::size_t i = 0; i < owner.size(); ++i) {
     if (owner[i] < 0) continue;
@@ -1031,7 +1031,7 @@ float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
         axes[static_cast<std::size_t>(owner[i])].project(block.cloud.points[i]);
     off.push_back(std::abs(at.distance - at.radius));
   }
-  return off.empty() ? 0.0F : kNormal * medianOf(off);
+  return off.empty() ? 0.0F : static_cast<float>(kMadToSigma) * medianOf(off);
 }
 
 /// @param owner of each point: the plant whose stem, or what carries that on, holds it, or -1

@@ -224,6 +224,22 @@ bool PlantRegistry::isInDoubt(std::int32_t id) const {
   return in_doubt_.count(id) > 0U && claimed_.count(id) == 0U;
 }
 
+/// Which of the known plants for whose numbers mayBe(e) is true is at that place, or kNone.
+template <class MayBe>
+std::size_t PlantRegistry::oneAt(const Eigen::Vector2d& place, const std::vector<Known>& near,
+                                 const MayBe& mayBe) const {
+  double nearest = match_radius_;
+  std::size_t found = kNone;
+  for (std::size_t e = 0; e < near.size(); ++e) {
+    if (!mayBe(e)) continue;
+    const double distance = (place - near[e].now).norm();
+    if (!(distance < nearest)) continue;
+    nearest = distance;
+    found = e;
+  }
+  return found;
+}
+
 /// Plants that were named anew before it was known how the map has moved have their older ids back.
 void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
                                      const std::vector<Known>& near, std::uint64_t began_ns,
@@ -231,15 +247,9 @@ void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
   for (std::size_t p = 0; p < bases.size(); ++p) {
     std::size_t& match = matches.of_plant[p];
     if (match == kNone || !isInDoubt(near[match].id)) continue;
-    double nearest = match_radius_;
-    std::size_t older = kNone;
-    for (std::size_t e = 0; e < near.size(); ++e) {
-      if (matches.given[e] || near[e].stamp_ns >= began_ns) continue;
-      const double distance = (bases[p] - near[e].now).norm();
-      if (!(distance < nearest)) continue;
-      nearest = distance;
-      older = e;
-    }
+    const std::size_t older = oneAt(bases[p], near, [&](std::size_t e) {
+      return !matches.given[e] && near[e].stamp_ns < began_ns;
+    });
     if (older == kNone) continue;
     matches.given[match] = false;  // and goes, below
     matches.given[older] = true;
@@ -264,24 +274,23 @@ void PlantRegistry::giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64
   for (Known& doubted : near) {
     const auto claimed = claimed_.find(doubted.id);
     if (in_doubt_.count(doubted.id) == 0U || claimed == claimed_.end()) continue;
-    for (std::size_t o = 0; o < near.size(); ++o) {
-      const Known& older = near[o];
-      if (matches.given[o] || older.stamp_ns >= began_ns || claimed_.count(older.id) > 0U) continue;
-      if (!((doubted.now - older.now).norm() < match_radius_)) continue;
-      const BlockIndex block = claimed->second;
-      Claims& claims = claims_.at(block);
-      std::replace(claims.ids.begin(), claims.ids.end(), doubted.id, older.id);
-      claims.seen.insert(older.id);
-      claimed_.erase(claimed);
-      claimed_.emplace(older.id, block);
-      in_doubt_.erase(doubted.id);
-      takeOut(doubted);
-      takeOut(older);
-      matches.given[o] = true;
-      doubted.id = older.id;
-      file(doubted.id, doubted.base, doubted.stamp_ns);
-      break;
-    }
+    const std::size_t o = oneAt(doubted.now, near, [&](std::size_t e) {
+      return !matches.given[e] && near[e].stamp_ns < began_ns && claimed_.count(near[e].id) == 0U;
+    });
+    if (o == kNone) continue;
+    const std::int32_t older = near[o].id;
+    const BlockIndex block = claimed->second;
+    Claims& claims = claims_.at(block);
+    std::replace(claims.ids.begin(), claims.ids.end(), doubted.id, older);
+    claims.seen.insert(older);
+    claimed_.erase(claimed);
+    claimed_.emplace(older, block);
+    in_doubt_.erase(doubted.id);
+    takeOut(doubted);
+    takeOut(near[o]);
+    matches.given[o] = true;
+    doubted.id = older;
+    file(older, doubted.base, doubted.stamp_ns);
   }
 }
 

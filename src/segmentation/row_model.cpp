@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "field_phenotyping/common/log_sum.hpp"
+#include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
@@ -19,11 +20,6 @@ constexpr double kWidest = 1.5;          // [m]
 constexpr double kLeastScatter = 0.012;  // [m] about a row: no drill is finer
 constexpr double kMostScatter = 0.15;    // share of the row spacing: beyond it there are no rows
 constexpr double kHintError = 0.15;      // share by which a hint may be wrong
-
-double gaussian(double off, double scatter) {
-  const double z = off / scatter;
-  return std::exp(-0.5 * z * z) / (std::sqrt(2.0 * M_PI) * scatter);
-}
 
 Eigen::Vector2d across(const Eigen::Vector2d& along) {
   return {-along.y(), along.x()};
@@ -68,7 +64,7 @@ struct RowModel::Fit {
   }
   /// Density of places against an even one.
   double odds(double off_row) const {
-    return in_rows * spacing * gaussian(off_row, scatter) + 1.0 - in_rows;
+    return in_rows * spacing * normalDensity(off_row, scatter) + 1.0 - in_rows;
   }
 
   /// Expectation maximisation from a rough start.
@@ -237,7 +233,7 @@ double RowModel::rowOdds(const Eigen::Vector2d& position) const {
   constexpr double kLeastPlants = 2.0;
   const auto row = plants_.find(rowOf(position));
   if (row == plants_.end() || row->second < kLeastPlants) return 1.0;
-  return in_rows_ * row_spacing_ * gaussian(offRow(position), row_scatter_) + 1.0 - in_rows_;
+  return in_rows_ * row_spacing_ * normalDensity(offRow(position), row_scatter_) + 1.0 - in_rows_;
 }
 
 /// Plants follow at the spacing, or at two, three, ... spacings where some are missing.
@@ -245,8 +241,8 @@ RowModel::Multiples RowModel::multiplesOf(double interval) const {
   Multiples densities;
   for (std::size_t k = 0; k < densities.size(); ++k) {
     const auto spacings = static_cast<double>(k + 1U);
-    densities[k] = gaussian(interval - spacings * plant_spacing_,
-                            std::sqrt(spacings) * spacing_scatter_ * plant_spacing_);
+    densities[k] = normalDensity(interval - spacings * plant_spacing_,
+                                 std::sqrt(spacings) * spacing_scatter_ * plant_spacing_);
   }
   return densities;
 }
@@ -341,15 +337,15 @@ double RowModel::intervalOdds(const Eigen::Vector2d& position,
 }
 
 double RowModel::mostRowOdds() const {
-  return std::max(in_rows_ * row_spacing_ * gaussian(0.0, row_scatter_) + 1.0 - in_rows_, 1.0);
+  return std::max(in_rows_ * row_spacing_ * normalDensity(0.0, row_scatter_) + 1.0 - in_rows_, 1.0);
 }
 
 double RowModel::mostIntervalOdds() const {
   if (!(plant_spacing_ > 0.0)) return 1.0;
   Multiples highest;
   for (std::size_t k = 0; k < highest.size(); ++k) {
-    highest[k] =
-        gaussian(0.0, std::sqrt(static_cast<double>(k + 1U)) * spacing_scatter_ * plant_spacing_);
+    highest[k] = normalDensity(
+        0.0, std::sqrt(static_cast<double>(k + 1U)) * spacing_scatter_ * plant_spacing_);
   }
   const double one_side = plant_spacing_ * intervalDensity(0.0, highest);
   return one_side * one_side;

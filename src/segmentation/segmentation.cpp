@@ -119,8 +119,7 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   SegmentedBlock out;
   out.header = block.header;
   out.ground = block.ground;
-  out.cloud.origin = block.cloud.origin;
-  out.cloud.scan_origins = block.cloud.scan_origins;
+  out.cloud = block.cloud.emptyAlike();
 
   constexpr std::size_t kGroups = 2U;  // stem, other organs
   const std::size_t none = kGroups * stems.size();
@@ -160,11 +159,11 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   append(groups[none]);
 
   for (const std::uint32_t source : out.source_index) {
-    const PointCloud& from = source < feet_begin ? block.cloud : block.feet;
-    const std::uint32_t i = source < feet_begin ? source : source - feet_begin;
-    out.cloud.points.push_back(from.points[i]);
-    if (from.hasColors()) out.cloud.colors.push_back(from.colors[i]);
-    if (from.hasScanOrigins()) out.cloud.scan_origin.push_back(from.scan_origin[i]);
+    if (source < feet_begin) {
+      out.cloud.take(block.cloud, source);
+    } else {
+      out.cloud.take(block.feet, source - feet_begin);
+    }
   }
   return out;
 }

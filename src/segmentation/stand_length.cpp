@@ -5,14 +5,14 @@
 #include <limits>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/normal_distribution.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 /// Density of a stem's length [1/m].
 double lengthDensity(const StandLength& stand, double length) {
-  const double z = (length - stand.typical) / stand.spread;
-  return std::exp(-0.5 * z * z) / (std::sqrt(2.0 * M_PI) * stand.spread);
+  return normalDensity(length - stand.typical, stand.spread);
 }
 
 /// Density of the length shown where the axis runs on [1/m]: normal and exponential convolved.
@@ -21,8 +21,8 @@ double excessDensity(const StandLength& stand, double shown) {
   const double shift = rate * stand.spread * stand.spread;
   const double below = stand.typical - shown;
   constexpr double kMostExponent = 50.0;  // far below, where the other factor vanishes
-  return rate * std::exp(std::min(rate * (below + 0.5 * shift), kMostExponent)) * 0.5 *
-         std::erfc((below + shift) / (std::sqrt(2.0) * stand.spread));
+  return rate * std::exp(std::min(rate * (below + 0.5 * shift), kMostExponent)) *
+         normalShareBelow(-(below + shift) / stand.spread);
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/row_model.hpp"
 #include "field_phenotyping/segmentation/stem_foot.hpp"
@@ -268,7 +269,6 @@ float Canopy::lightAround(const Eigen::Vector3f& point) const {
 StandLean leanOf(const std::vector<StemAxis>& stems) {
   constexpr std::size_t kLeastStems = 6U;
   constexpr float kLeastScatter = 0.03F;  // of the slope
-  constexpr float kNormal = 1.4826F;      // standard deviation of a median absolute deviation
   StandLean lean;
   if (stems.size() < kLeastStems) return lean;
   std::vector<float> x;
@@ -283,7 +283,8 @@ StandLean leanOf(const std::vector<StemAxis>& stems) {
     off.push_back(std::abs(slopeOf(axis).x() - lean.slope.x()));
     off.push_back(std::abs(slopeOf(axis).y() - lean.slope.y()));
   }
-  lean.scatter = std::max(kNormal * medianOf(std::move(off)), kLeastScatter);
+  lean.scatter =
+      std::max(static_cast<float>(kMadToSigma) * medianOf(std::move(off)), kLeastScatter);
   return lean;
 }
 

@@ -1,4 +1,4 @@
-// What is so dense that more points tell no more is averaged in wider voxels.
+// What is so dense that more points tell little more is averaged in wider voxels.
 
 #include <gtest/gtest.h>
 

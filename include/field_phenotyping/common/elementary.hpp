@@ -105,6 +105,20 @@ struct Direction {
   double y;
 };
 
+/// A direction turned by quarters of a turn from x towards y.
+FIELD_PHENOTYPING_HD inline Direction turnedBy(int quarters, const Direction& direction) {
+  switch (quarters & 3) {
+    case 0:
+      return direction;
+    case 1:
+      return {-direction.y, direction.x};
+    case 2:
+      return {-direction.x, -direction.y};
+    default:
+      return {direction.y, -direction.x};
+  }
+}
+
 /// The `k`-th of `count` directions that part the circle evenly, from x towards y; k < count.
 FIELD_PHENOTYPING_HD inline Direction directionOf(int k, int count) {
   // From the nearest quarter of a turn.
@@ -122,16 +136,7 @@ FIELD_PHENOTYPING_HD inline Direction directionOf(int k, int count) {
   }
   sine = angle + angle * sine;
   cosine = 1.0 + cosine;
-  switch (quarter % 4) {
-    case 0:
-      return {cosine, sine};
-    case 1:
-      return {-sine, cosine};
-    case 2:
-      return {-cosine, -sine};
-    default:
-      return {sine, -cosine};
-  }
+  return turnedBy(quarter, {cosine, sine});
 }
 
 /// The unit vector at an angle in [-100, 100] from x towards y, exact to 2e-16 for those of a turn.
@@ -165,16 +170,7 @@ FIELD_PHENOTYPING_HD inline Direction directionAt(double angle) {
                                     square * (1.0 / 479001600.0 +
                                               square * (-1.0 / 87178291200.0 +
                                                         square * (1.0 / 20922789888000.0))))))));
-  switch (static_cast<int>(quarters) & 3) {
-    case 0:
-      return {cosine, sine};
-    case 1:
-      return {-sine, cosine};
-    case 2:
-      return {-cosine, -sine};
-    default:
-      return {sine, -cosine};
-  }
+  return turnedBy(static_cast<int>(quarters), {cosine, sine});
 }
 
 /// The angle of a vector from x towards y, in [-pi, pi], exact to 1e-15; 0 of one without length.

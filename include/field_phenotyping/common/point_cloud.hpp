@@ -26,6 +26,21 @@ struct PointCloud {
   bool hasColors() const { return !colors.empty(); }
   bool hasScanOrigins() const { return !scan_origin.empty(); }
 
+  /// An empty cloud in the same frame, for points that are taken from this one.
+  PointCloud emptyAlike() const {
+    PointCloud alike;
+    alike.origin = origin;
+    alike.scan_origins = scan_origins;
+    return alike;
+  }
+
+  /// Appends point `i` of a cloud in the same frame, with what that one knows of it.
+  void take(const PointCloud& from, std::size_t i) {
+    points.push_back(from.points[i]);
+    if (from.hasColors()) colors.push_back(from.colors[i]);
+    if (from.hasScanOrigins()) scan_origin.push_back(from.scan_origin[i]);
+  }
+
   /// Position of point `i` in the map frame [m].
   Eigen::Vector3d mapPoint(std::size_t i) const { return origin + points[i].cast<double>(); }
 };

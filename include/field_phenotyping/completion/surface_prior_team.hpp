@@ -3,6 +3,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/team_envelope.hpp"
 #include "field_phenotyping/common/team_order.hpp"
 #include "field_phenotyping/common/vector3.hpp"
@@ -46,8 +47,7 @@ constexpr int kHypotheses = 128;
 constexpr int kSample = 6;
 constexpr int kDraws = kHypotheses * kSample;
 constexpr int kMaxIterations = 10;
-constexpr double kConverged = 2e-5;  // [m] so that a few more points move little
-constexpr double kMadToSigma = 1.4826;
+constexpr double kConverged = 2e-5;   // [m] so that a few more points move little
 constexpr double kMinNoise = 2e-4;    // [m]
 constexpr double kAngleWindow = 0.2;  // [m] along which a stem is seen from about the same sides
 constexpr double kTwoPi = 6.28318530717958647692;
@@ -428,7 +428,7 @@ class SurfacePriorFitter {
     team_.sync();
     cone_ = best.cone;
     const double freedom = largerOf(1.0, scored_count - 6.0);
-    noise_ = largerOf(coarse::kMinNoise, coarse::kMadToSigma * (1.0 + 5.0 / freedom) * best.score);
+    noise_ = largerOf(coarse::kMinNoise, kMadToSigma * (1.0 + 5.0 / freedom) * best.score);
     forNodes([&](int i) {
       const CurveFrame<Vector3>& node = far_.frames[i];
       curve_[i] +=

@@ -38,7 +38,7 @@ struct BlockPoints {
 };
 
 /// The steps of 2.3 that need no map: outliers and soil are taken out, and what is so dense that
-/// more points tell no more is thinned. Thread-safe.
+/// more points tell little more is thinned. Thread-safe.
 /// @param before_thinning is given the points that the block's are made of, for who labels them
 Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
                   const ComputeDevice& device = {}, DensePoints* before_thinning = nullptr);

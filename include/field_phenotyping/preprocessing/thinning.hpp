@@ -18,7 +18,7 @@ struct DensePoints {
   bool empty() const { return points.empty(); }
 };
 
-/// Thins a cloud that is so dense that more points tell no more of its plants: its voxels are
+/// Thins a cloud that is so dense that more points tell little more of its plants: its voxels are
 /// widened until at most `density` [1/m^2] of them lie on the ground that any lies above. Each
 /// keeps its centroid, and its first point's colour; where voxels are so wide that centroids would
 /// lie inside of stems, the first point itself. Few plants keep all of their points. Thread-safe.

@@ -119,6 +119,9 @@ class PlantRegistry {
   void takeOut(const Known& known);
   void releaseClaims(const BlockHeader& header);
   bool isInDoubt(std::int32_t id) const;
+  template <class MayBe>
+  std::size_t oneAt(const Eigen::Vector2d& place, const std::vector<Known>& near,
+                    const MayBe& mayBe) const;
   void giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases, const std::vector<Known>& near,
                         std::uint64_t began_ns, Matches& matches);
   void giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64_t began_ns, Matches& matches);
