@@ -355,7 +355,8 @@ def points(bench, folder, counts=None, repeats=None, shape=None):
     _heading(
         'More points on the same plants',
         'A ripe field of {} plants, all cores, {}; memory as above. A voxel takes many points to '
-        'one, so that time follows\nthe voxels.'.format(rows_of * in_each, _runs(repeats)),
+        'one, so that time follows\nthe voxels; where more than `max_density` of them lie on a '
+        'square metre the block is thinned.'.format(rows_of * in_each, _runs(repeats)),
     )
     columns = (
         ('plants found', _text('plants')),
