@@ -215,7 +215,9 @@ json measureField(const Options& options) {
   json rows = json::array();
   for (const auto& completed : result.blocks) {
     const SegmentedBlock& block = *completed->segmented;
-    for (const Plant& plant : block.plants) {
+    const std::vector<PlantHeight> paper_heights = measurePlantHeights(block, paper);
+    for (std::size_t k = 0; k < block.plants.size(); ++k) {
+      const Plant& plant = block.plants[k];
       if (!plant.owned || plant.axis.empty()) continue;
       const Phenotype& ours = *phenotypes.at(plant.id);
       json row = {{"plant_id", plant.id},
@@ -228,7 +230,7 @@ json measureField(const Options& options) {
                   {"stem_points", ours.stem_points}};
       row["diameter"] = describe(ours.stem_diameter);
       row["height"] = describe(ours.height);
-      row["paper_height"] = describe(measurePlantHeight(block, plant, paper).height);
+      row["paper_height"] = describe(paper_heights[k].height);
 
       const auto at = block.cloud.points.begin();
       const std::vector<Eigen::Vector3f> stem(at + plant.stem.begin, at + plant.stem.end);

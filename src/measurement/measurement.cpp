@@ -80,8 +80,9 @@ bool looksMerged(const BlockPrior& block, std::size_t index) {
 }
 
 Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
-                       const PlantSpacing& spacing, const BlockPrior& prior,
-                       const StemDiameter& diameter, const MeasurementParameters& parameters) {
+                       const PlantSpacing& spacing, const PlantHeight& height,
+                       const BlockPrior& prior, const StemDiameter& diameter,
+                       const MeasurementParameters& parameters) {
   const SegmentedBlock& block = *completed.segmented;
   const Plant& plant = block.plants[index];
   Phenotype phenotype;
@@ -90,9 +91,7 @@ Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
   phenotype.final = block.header.final;
   phenotype.base = block.cloud.origin + plant.base.cast<double>();
 
-  const PlantHeight height = measurePlantHeight(block, plant, parameters);
   phenotype.height = height.height;
-
   phenotype.stem_diameter = diameter.major;
   phenotype.stem_diameter_minor = diameter.minor;
   phenotype.stem_diameter_equivalent = diameter.equivalent;
@@ -143,6 +142,7 @@ std::vector<Phenotype> measureBlock(const CompletedBlock& block,
     if (plants[i].owned) owned.push_back(i);
   }
   const std::vector<PlantSpacing> spacings = measureRowSpacing(*block.segmented);
+  const std::vector<PlantHeight> heights = measurePlantHeights(*block.segmented, parameters);
   const BlockPrior prior = blockPrior(*block.segmented, parameters, device);
   std::vector<StemDiameter> alone;
   if (!prior.alone.empty()) {
@@ -152,8 +152,8 @@ std::vector<Phenotype> measureBlock(const CompletedBlock& block,
       measureStemDiameters(*block.segmented, owned, parameters, prior.prior, alone, device);
   std::vector<Phenotype> phenotypes(owned.size());
   parallelFor(owned.size(), [&](std::size_t i) {
-    phenotypes[i] =
-        measurePlant(block, owned[i], spacings[owned[i]], prior, diameters[i], parameters);
+    phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], heights[owned[i]], prior,
+                                 diameters[i], parameters);
   });
   return phenotypes;
 }

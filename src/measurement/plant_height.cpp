@@ -3,23 +3,25 @@
 #include <algorithm>
 #include <cmath>
 #include <functional>
-#include <vector>
+#include <limits>
+
+#include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-/// An end of the plant, upwards or downwards.
+constexpr std::size_t kSpacings = 4U;  // of an end's outermost points that are looked at
+
+/// An end of a plant, upwards or downwards.
 struct End {
   double z = 0.0;        ///< of the outermost point
-  double spacing = 0.0;  ///< mean spacing in height of the outermost points
+  double spacing = 0.0;  ///< mean spacing in height of the outermost points; 0 of a single point
 };
 
-/// Points fall on the plant's end at random; beyond the outermost of them it goes on for about the
-/// mean spacing of those behind.
 template <class Order>
-End endOf(std::vector<float> heights, const Order& order) {
-  constexpr std::size_t kPoints = 5;
-  const std::size_t count = std::min(kPoints, heights.size());
+End endOf(std::vector<float>& heights, const Order& order) {
+  const std::size_t count = std::min(kSpacings + 1U, heights.size());
   std::partial_sort(heights.begin(), heights.begin() + static_cast<std::ptrdiff_t>(count),
                     heights.end(), order);
   End end;
@@ -30,40 +32,104 @@ End endOf(std::vector<float> heights, const Order& order) {
   return end;
 }
 
-}  // namespace
+/// Both ends of a plant. There must be points.
+struct Ends {
+  End top;
+  End bottom;
+};
 
-PlantHeight measurePlantHeight(const SegmentedBlock& block, const Plant& plant,
-                               const MeasurementParameters& parameters) {
-  PlantHeight result;
+Ends endsOf(const SegmentedBlock& block, const Plant& plant) {
   std::vector<float> heights;
   heights.reserve(plant.points.size());
   for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
     heights.push_back(block.cloud.points[i].z());
   }
-  const bool soil = block.ground.observed();
-  if (!soil) {
-    result.flags |= kGroundMissing;
-  } else if (!block.ground.seenAt(plant.base.x(), plant.base.y())) {
-    result.flags |= kGroundExtrapolated;
-  }
-  if (heights.empty()) return result;
+  Ends ends;
+  ends.top = endOf(heights, std::greater<float>());
+  ends.bottom = endOf(heights, std::less<float>());
+  return ends;
+}
 
-  const bool paper = parameters.mode == "paper";
-  const End top = endOf(heights, std::greater<float>());
-  const double top_z = top.z + (paper ? 0.0 : top.spacing);
-  if (soil) {
-    result.height.value = top_z - block.ground.heightAt(plant.base.x(), plant.base.y());
-    // Between the plants soil looks smoother than it is known under one.
-    constexpr float kLeastSoilError = 0.008F;  // [m]
-    const float soil_error =
-        std::max(block.ground.stddevAt(plant.base.x(), plant.base.y()), kLeastSoilError);
-    result.height.stddev = std::hypot(top.spacing, soil_error);
-  } else {
-    const End bottom = endOf(heights, std::less<float>());
-    result.height.value = top_z - bottom.z + (paper ? 0.0 : bottom.spacing);
-    result.height.stddev = std::hypot(top.spacing, bottom.spacing);
+/// How far plants of a stand go on beyond their outermost points.
+class Overhang {
+ public:
+  /// @param spacings of the plants' outermost points [m]
+  explicit Overhang(std::vector<double> spacings) {
+    constexpr std::size_t kFewest = 5U;
+    if (spacings.size() < kFewest) return;
+    // A point of a neighbour above a plant is no spacing: nearly no mean of four exponentially
+    // distributed ones is so far above the median.
+    constexpr double kMost = 4.0;
+    most_ = kMost * medianOf(spacings);
+    double count = 0.0, sum = 0.0, squares = 0.0;
+    for (const double spacing : spacings) {
+      if (spacing > most_) continue;
+      count += 1.0;
+      sum += spacing;
+      squares += spacing * spacing;
+    }
+    mean_ = sum / count;
+    const double by_chance = mean_ * mean_ / static_cast<double>(kSpacings);
+    const double between = std::max(0.0, squares / count - mean_ * mean_ - by_chance);
+    own_weight_ = between > 0.0 ? between / (between + by_chance) : 0.0;
   }
-  return result;
+
+  /// Expected of a plant [m].
+  Trait of(const End& end) const {
+    const double value = own_weight_ * std::min(end.spacing, most_) + (1.0 - own_weight_) * mean_;
+    return {value, end.spacing > most_ ? end.spacing : value};
+  }
+
+ private:
+  double mean_ = 0.0;
+  double own_weight_ = 1.0;
+  double most_ = std::numeric_limits<double>::infinity();
+};
+
+}  // namespace
+
+std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
+                                             const MeasurementParameters& parameters) {
+  std::vector<Ends> ends(block.plants.size());
+  parallelFor(ends.size(), [&](std::size_t i) {
+    if (!block.plants[i].points.empty()) ends[i] = endsOf(block, block.plants[i]);
+  });
+  std::vector<double> above, below;
+  for (std::size_t i = 0; i < ends.size(); ++i) {
+    if (block.plants[i].points.size() <= kSpacings) continue;
+    above.push_back(ends[i].top.spacing);
+    below.push_back(ends[i].bottom.spacing);
+  }
+  const Overhang top_overhang(std::move(above)), bottom_overhang(std::move(below));
+  const double corrected = parameters.mode == "paper" ? 0.0 : 1.0;
+
+  std::vector<PlantHeight> heights(block.plants.size());
+  for (std::size_t i = 0; i < heights.size(); ++i) {
+    const Plant& plant = block.plants[i];
+    PlantHeight& result = heights[i];
+    const bool soil = block.ground.observed();
+    if (!soil) {
+      result.flags |= kGroundMissing;
+    } else if (!block.ground.seenAt(plant.base.x(), plant.base.y())) {
+      result.flags |= kGroundExtrapolated;
+    }
+    if (plant.points.empty()) continue;
+    const Trait above_top = top_overhang.of(ends[i].top);
+    const double top = ends[i].top.z + corrected * above_top.value;
+    if (soil) {
+      result.height.value = top - block.ground.heightAt(plant.base.x(), plant.base.y());
+      // Between the plants soil looks smoother than it is known under one.
+      constexpr double kLeastSoilError = 0.008;  // [m]
+      const auto soil_error =
+          static_cast<double>(block.ground.stddevAt(plant.base.x(), plant.base.y()));
+      result.height.stddev = std::hypot(above_top.stddev, std::max(soil_error, kLeastSoilError));
+    } else {
+      const Trait below_bottom = bottom_overhang.of(ends[i].bottom);
+      result.height.value = top - ends[i].bottom.z + corrected * below_bottom.value;
+      result.height.stddev = std::hypot(above_top.stddev, below_bottom.stddev);
+    }
+  }
+  return heights;
 }
 
 }  // namespace field_phenotyping

@@ -10,6 +10,7 @@
 
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/measurement/measurement.hpp"
+#include "field_phenotyping/measurement/plant_height.hpp"
 #include "field_phenotyping/measurement/row_spacing.hpp"
 #include "field_phenotyping/measurement/stem_coverage.hpp"
 #include "field_phenotyping/measurement/stem_diameter.hpp"
@@ -241,6 +242,57 @@ TEST(Measurement, TopOfAnyOrganCountsAndSparseTipsAreUncertain) {
   MeasurementParameters paper;
   paper.mode = "paper";
   EXPECT_NEAR(measureOne(builder, paper).height.value, 2.28, 1e-3);
+}
+
+/// Plants of 2.3 m whose spikes are met by a beam about every 4 cm, by chance.
+BlockBuilder standOfSparseTips(int plants, std::uint32_t seed) {
+  BlockBuilder builder;
+  builder.soil(kFlat, 0.002F);
+  std::mt19937 engine(seed);
+  std::exponential_distribution<double> gap(1.0 / 0.04);
+  PlantTruth truth;
+  truth.points_per_meter = 40;
+  for (int k = 0; k < plants; ++k) {
+    builder.plant(truth, seed + static_cast<std::uint32_t>(k));
+    std::vector<Eigen::Vector3d> spike;
+    for (double z = 2.3 - gap(engine); z > 2.0; z -= gap(engine)) spike.push_back({1.0, 1.0, z});
+    builder.organ(spike);
+  }
+  return builder;
+}
+
+TEST(Measurement, WhatTheBeamsMissOfATipIsLearntFromTheWholeBlock) {
+  constexpr int kBlocks = 150, kPlants = 16;
+  double sum = 0.0, squares = 0.0, covered = 0.0;
+  for (std::uint32_t block = 0; block < kBlocks; ++block) {
+    BlockBuilder builder = standOfSparseTips(kPlants, 100U * block);
+    const auto heights = measurePlantHeights(builder.block(), {});
+    ASSERT_EQ(heights.size(), static_cast<std::size_t>(kPlants));
+    for (const PlantHeight& plant : heights) {
+      const double error = plant.height.value - 2.3;
+      sum += error;
+      squares += error * error;
+      covered += std::abs(error) < 1.96 * plant.height.stddev ? 1.0 : 0.0;
+    }
+  }
+  constexpr double kAll = kBlocks * kPlants;
+  EXPECT_NEAR(sum / kAll, 0.0, 0.003);
+  // The miss itself is spread by 0.04 m; with the spacings of one plant it would be 0.045 m.
+  EXPECT_LT(std::sqrt(squares / kAll), 0.042);
+  EXPECT_GT(covered / kAll, 0.92);
+  EXPECT_LT(covered / kAll, 0.98);
+}
+
+TEST(Measurement, APointFarAboveAPlantMakesItsHeightUncertainAndNoOthers) {
+  BlockBuilder builder = standOfSparseTips(16, 7U);
+  const auto before = measurePlantHeights(builder.block(), {});
+  builder.organ({{1.0, 1.0, 3.3}});
+  const auto after = measurePlantHeights(builder.block(), {});
+  EXPECT_GT(after.back().height.stddev, 0.2);
+  for (std::size_t k = 0; k + 1U < after.size(); ++k) {
+    EXPECT_NEAR(after[k].height.value, before[k].height.value, 0.01);
+    EXPECT_NEAR(after[k].height.stddev, before[k].height.stddev, 0.01);
+  }
 }
 
 TEST(Measurement, MissingSoilIsFlagged) {

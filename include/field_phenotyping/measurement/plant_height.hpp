@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <vector>
 
 #include "field_phenotyping/measurement/phenotype.hpp"
 #include "field_phenotyping/parameters.hpp"
@@ -14,12 +15,20 @@ struct PlantHeight {
   std::uint32_t flags = kOk;
 };
 
-/// Vertical distance from the soil at the plant's base to the plant's top (paper 2.7). The beams
-/// miss the very tip: the mean spacing in height of the highest points is added, and enters the
-/// standard deviation beside that of the soil. Without soil in the block the height is that above
-/// the lowest point of the plant, its standard deviation that of the sampling only. In mode
-/// "paper": the highest point, nothing added. Thread-safe; deterministic.
-PlantHeight measurePlantHeight(const SegmentedBlock& block, const Plant& plant,
-                               const MeasurementParameters& parameters);
+/// Heights of a block's plants, in their order: the vertical distance from the soil at the plant's
+/// base to the plant's top (paper 2.7).
+///
+/// The beams miss the very tip. What they miss is about the mean spacing in height of the highest
+/// points; four spacings of one plant say little of it, and where by chance the highest point is
+/// far up they say too much. So it is taken from all plants of the block (empirical Bayes), each
+/// being drawn towards its own as far as the plants differ by more than chance. It is added, and
+/// enters the standard deviation beside that of the soil; a plant whose highest points are farther
+/// apart than in any stand may have been given another's, and its own spacing enters there.
+///
+/// Without soil in the block the height is that above the lowest point of the plant, its standard
+/// deviation that of the sampling only. In mode "paper": the highest point, nothing added.
+/// Thread-safe; deterministic; plants are worked side by side.
+std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
+                                             const MeasurementParameters& parameters);
 
 }  // namespace field_phenotyping
