@@ -36,11 +36,13 @@ void checkConsistency(const PointCloud& cloud) {
 
 void checkConsistency(const Block& block) {
   checkConsistency(block.cloud);
-  checkConsistency(block.feet);
-  require(block.feet.empty() || (block.feet.hasColors() == block.cloud.hasColors() &&
-                                 block.feet.hasScanOrigins() == block.cloud.hasScanOrigins() &&
-                                 block.feet.scan_origins.size() == block.cloud.scan_origins.size()),
-          "the feet know less or more of their points than the cloud");
+  for (const PointCloud* beside : {&block.feet, &block.isolated}) {
+    checkConsistency(*beside);
+    require(beside->empty() || (beside->hasColors() == block.cloud.hasColors() &&
+                                beside->hasScanOrigins() == block.cloud.hasScanOrigins() &&
+                                beside->scan_origins.size() == block.cloud.scan_origins.size()),
+            "the feet or the isolated points know less or more of their points than the cloud");
+  }
 }
 
 void checkConsistency(const SegmentedBlock& block) {

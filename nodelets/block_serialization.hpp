@@ -310,6 +310,7 @@ struct Serializer<field_phenotyping::Block>
     stream.next(block.ground);
     stream.next(block.ground_points);
     stream.next(block.feet);
+    stream.next(block.isolated);
   }
 };
 

@@ -56,7 +56,7 @@ struct PreprocessingParameters {
                     "reach within which a point must have neighbours; widened for sparse clouds"},
       p.outlier_radius, 0.001, 1.0);
     v(ParameterInfo{"outlier_min_neighbors", "",
-                    "points with fewer neighbours are noise; 0 keeps all"},
+                    "points with fewer neighbours are noise, if no plant's; 0 keeps all"},
       p.outlier_min_neighbors, 0, 100);
     v(ParameterInfo{"block_size", "m", "edge of the square tiles that the scene is worked in"},
       p.block_size, 0.5, 100.0);

@@ -86,8 +86,10 @@ Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
   block.cloud = select(cloud, is_ground, 0U);
   block.ground_points = static_cast<std::uint32_t>(cloud.size() - block.cloud.size());
   block.feet = select(cloud, soilAtFeet(cloud, block.ground, is_ground), 1U);
+  const PointCloud outliers = select(points.cloud, keep, 0U);
+  block.isolated = select(outliers, classifyGround(outliers, block.ground, parameters), 0U);
   const double density = block.header.draft ? parameters.draft_density : parameters.max_density;
-  DensePoints dense = thin(block.cloud, block.feet, density, parameters.voxel_size);
+  DensePoints dense = thin(block.cloud, block.feet, block.isolated, density, parameters.voxel_size);
   if (before_thinning != nullptr) *before_thinning = std::move(dense);
   return block;
 }

@@ -70,7 +70,8 @@ void replace(const Voxels& voxels, bool averaged, PointCloud& cloud, DensePoints
 
 }  // namespace
 
-DensePoints thin(PointCloud& cloud, PointCloud& feet, double density, double edge) {
+DensePoints thin(PointCloud& cloud, PointCloud& feet, PointCloud& isolated, double density,
+                 double edge) {
   // Widths in steps, so that blocks that are about as dense are thinned alike.
   constexpr double kFirst = 2.0;           // of the cloud's voxels
   constexpr double kStep = M_SQRT2;        // from width to width
@@ -92,11 +93,15 @@ DensePoints thin(PointCloud& cloud, PointCloud& feet, double density, double edg
   }
   const bool averaged = width <= kMostAveraged;
   DensePoints dense;
-  dense.points.reserve(cloud.size() + feet.size());
-  dense.thinned.reserve(cloud.size() + feet.size());
+  const std::size_t count = cloud.size() + feet.size() + isolated.size();
+  dense.points.reserve(count);
+  dense.thinned.reserve(count);
   replace(voxels, averaged, cloud, dense, 0U);
-  const auto kept = static_cast<std::uint32_t>(cloud.size());
-  replace(voxelsOf(feet.points, static_cast<float>(width)), averaged, feet, dense, kept);
+  auto kept = static_cast<std::uint32_t>(cloud.size());
+  for (PointCloud* beside : {&feet, &isolated}) {
+    replace(voxelsOf(beside->points, static_cast<float>(width)), averaged, *beside, dense, kept);
+    kept += static_cast<std::uint32_t>(beside->size());
+  }
   return dense;
 }
 

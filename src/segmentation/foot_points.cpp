@@ -7,9 +7,9 @@
 #include <tuple>
 #include <utility>
 
-#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/normal_distribution.hpp"
+#include "field_phenotyping/common/robust_spread.hpp"
 #include "field_phenotyping/segmentation/stem_foot.hpp"
 
 namespace field_phenotyping {
@@ -17,20 +17,6 @@ namespace {
 
 constexpr float kPi = 3.14159265F;
 constexpr float kReach = 0.035F;  // [m] of a foot about the stem's surface
-
-/// Middle and standard deviation of values of which a few are wild. There must be some.
-struct Spread {
-  float middle;
-  float stddev;
-};
-
-Spread spreadOf(const std::vector<float>& values, float least) {
-  const float middle = medianOf(values);
-  std::vector<float> off;
-  off.reserve(values.size());
-  for (const float value : values) off.push_back(std::abs(value - middle));
-  return {middle, std::max(least, static_cast<float>(kMadToSigma) * medianOf(std::move(off)))};
-}
 
 /// A stem's point not far above the soil.
 struct LowPoint {
@@ -66,7 +52,7 @@ std::optional<LowStem> lowStemOf(std::vector<LowPoint> points, float radius) {
     off.push_back(point.off);
     highest = std::max(highest, point.height);
   }
-  const Spread spread = spreadOf(off, kLeastNoise);
+  const RobustSpread spread = robustSpreadOf(off, kLeastNoise);
   return LowStem{radius + spread.middle, spread.stddev,
                  static_cast<float>(off.size()) / (highest - kLowest)};
 }
@@ -99,7 +85,7 @@ NearSoil soilAround(const std::vector<Candidate>& candidates, const LowStem& ste
   const float area = kPi * std::max(outer * outer - inner * inner, stem.radius * stem.radius);
   const auto count = static_cast<float>(std::max(heights.size(), kFew));
   if (heights.size() < kFew) return {0.0F, stddev, count / area};
-  const Spread spread = spreadOf(heights, kLeastRough);
+  const RobustSpread spread = robustSpreadOf(heights, kLeastRough);
   return {spread.middle, spread.stddev, count / area};
 }
 

@@ -9,6 +9,7 @@
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/segmentation/foot_points.hpp"
 #include "field_phenotyping/segmentation/found_twice.hpp"
+#include "field_phenotyping/segmentation/isolated_points.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
@@ -112,10 +113,10 @@ std::vector<bool> findTillers(const GrowthScene& scene, const Block& block,
   return tillers;
 }
 
-/// Reorders the block's points plant by plant, stems first, with those that the soil gives back.
+/// Reorders the block's points plant by plant, stems first, with those that the soil gives back and
+/// those that were taken for outliers.
 SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
-                        const std::vector<std::int32_t>& stem_owner,
-                        const std::vector<std::int32_t>& plant_owner) {
+                        const PointOwners& owners, const PointOwners& isolated) {
   SegmentedBlock out;
   out.header = block.header;
   out.ground = block.ground;
@@ -124,18 +125,22 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   constexpr std::size_t kGroups = 2U;  // stem, other organs
   const std::size_t none = kGroups * stems.size();
   std::vector<std::vector<std::uint32_t>> groups(none + 1U);
-  for (std::uint32_t i = 0; i < block.cloud.size(); ++i) {
-    const bool is_stem = stem_owner[i] >= 0;
-    const std::int32_t plant = is_stem ? stem_owner[i] : plant_owner[i];
-    const std::size_t group =
-        plant < 0 ? none : kGroups * static_cast<std::size_t>(plant) + (is_stem ? 0U : 1U);
-    groups[group].push_back(i);
-  }
+  const auto groupOf = [&](const PointOwners& of, std::uint32_t i) {
+    const bool is_stem = of.stem[i] >= 0;
+    const std::int32_t plant = is_stem ? of.stem[i] : of.plant[i];
+    return plant < 0 ? none : kGroups * static_cast<std::size_t>(plant) + (is_stem ? 0U : 1U);
+  };
+  for (std::uint32_t i = 0; i < block.cloud.size(); ++i) groups[groupOf(owners, i)].push_back(i);
   const auto feet_begin = static_cast<std::uint32_t>(block.cloud.size());
-  const std::vector<std::int32_t> foot_owner = findFootPoints(block, axesOf(stems), stem_owner);
+  const std::vector<std::int32_t> foot_owner = findFootPoints(block, axesOf(stems), owners.stem);
   for (std::uint32_t i = 0; i < foot_owner.size(); ++i) {
     if (foot_owner[i] < 0) continue;
     groups[kGroups * static_cast<std::size_t>(foot_owner[i])].push_back(feet_begin + i);
+  }
+  const auto isolated_begin = feet_begin + static_cast<std::uint32_t>(block.feet.size());
+  for (std::uint32_t i = 0; i < isolated.plant.size(); ++i) {
+    const std::size_t group = groupOf(isolated, i);
+    if (group != none) groups[group].push_back(isolated_begin + i);
   }
   out.source_index.reserve(block.cloud.size());
   const auto append = [&](const std::vector<std::uint32_t>& group) {
@@ -161,8 +166,10 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   for (const std::uint32_t source : out.source_index) {
     if (source < feet_begin) {
       out.cloud.take(block.cloud, source);
-    } else {
+    } else if (source < isolated_begin) {
       out.cloud.take(block.feet, source - feet_begin);
+    } else {
+      out.cloud.take(block.isolated, source - isolated_begin);
     }
   }
   return out;
@@ -231,14 +238,13 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
       withoutFoundTwice(block, std::move(stems), static_cast<float>(parameters.min_plant_spacing));
 
   // Every other organ to its plant.
-  std::vector<std::int32_t> stem_owner;
-  std::vector<std::int32_t> plant_owner;
+  PointOwners owners;
   const auto giveToPlants = [&] {
-    stem_owner = resolveOwners(scene, stems);
-    plant_owner = assignOrgans(block, axesOf(stems), stem_owner, parameters, device);
+    owners.stem = resolveOwners(scene, stems);
+    owners.plant = assignOrgans(block, axesOf(stems), owners.stem, parameters, device);
   };
   giveToPlants();
-  const std::vector<bool> tillers = findTillers(scene, block, stems, plant_owner);
+  const std::vector<bool> tillers = findTillers(scene, block, stems, owners.plant);
   if (std::find(tillers.begin(), tillers.end(), true) != tillers.end()) {
     std::vector<GrownStem> plants;
     for (std::size_t s = 0; s < stems.size(); ++s) {
@@ -247,7 +253,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     stems = std::move(plants);
     giveToPlants();
   }
-  return assemble(block, stems, stem_owner, plant_owner);
+  return assemble(block, stems, owners, findIsolatedPoints(block, grid, axesOf(stems), owners));
 }
 
 }  // namespace field_phenotyping

@@ -13,7 +13,7 @@ namespace {
 
 constexpr double kEdge = 0.003;  // [m] of the voxels that the points come from
 
-PointCloud no_feet;
+PointCloud no_feet, no_isolated;
 
 /// Points on a layer of leaves 3 m by 3 m, so many on a square metre.
 PointCloud layer(double density) {
@@ -32,17 +32,17 @@ PointCloud layer(double density) {
 TEST(Thinning, LeavesAloneWhatIsNoDenser) {
   const PointCloud before = layer(9000.0);
   PointCloud cloud = before;
-  EXPECT_TRUE(thin(cloud, no_feet, 10000.0, kEdge).empty());
+  EXPECT_TRUE(thin(cloud, no_feet, no_isolated, 10000.0, kEdge).empty());
   EXPECT_EQ(cloud.points, before.points);
   PointCloud none;
-  EXPECT_TRUE(thin(none, no_feet, 10000.0, kEdge).empty());
+  EXPECT_TRUE(thin(none, no_feet, no_isolated, 10000.0, kEdge).empty());
 }
 
 TEST(Thinning, KeepsWithinTheDensityButNoFartherThanItMust) {
   for (const double density : {5000.0, 20000.0}) {
     PointCloud cloud = layer(60000.0);
     const std::size_t all = cloud.size();
-    const DensePoints dense = thin(cloud, no_feet, density, kEdge);
+    const DensePoints dense = thin(cloud, no_feet, no_isolated, density, kEdge);
     EXPECT_EQ(dense.points.size(), all);
     EXPECT_LE(static_cast<double>(cloud.size()), density * 9.6) << "0.1 m cells at its rim count";
     EXPECT_GE(static_cast<double>(cloud.size()), 0.4 * density * 9.0) << "widths double the area";
@@ -57,13 +57,13 @@ TEST(Thinning, FewPlantsKeepAllTheirPoints) {
     cloud.points.emplace_back(0.01F * std::cos(angle), 0.01F * std::sin(angle),
                               1e-4F * static_cast<float>(i));
   }
-  EXPECT_TRUE(thin(cloud, no_feet, 10000.0, kEdge).empty());
+  EXPECT_TRUE(thin(cloud, no_feet, no_isolated, 10000.0, kEdge).empty());
 }
 
 TEST(Thinning, EachPointStandsForThoseAroundIt) {
   for (const double density : {20000.0, 4000.0}) {
     PointCloud cloud = layer(60000.0);
-    const DensePoints dense = thin(cloud, no_feet, density, kEdge);
+    const DensePoints dense = thin(cloud, no_feet, no_isolated, density, kEdge);
     ASSERT_EQ(dense.thinned.size(), dense.points.size());
     std::vector<Eigen::Vector3d> sums(cloud.size(), Eigen::Vector3d::Zero());
     std::vector<double> counts(cloud.size(), 0.0);
@@ -94,7 +94,7 @@ TEST(Thinning, FeetAreThinnedToTheSameVoxels) {
   PointCloud feet = layer(30000.0);
   const std::size_t all = cloud.size();
   const std::vector<Eigen::Vector3f> before = feet.points;
-  const DensePoints dense = thin(cloud, feet, 20000.0, kEdge);
+  const DensePoints dense = thin(cloud, feet, no_isolated, 20000.0, kEdge);
   ASSERT_EQ(dense.points.size(), all + before.size());
   EXPECT_LT(feet.size(), before.size());
   for (std::size_t i = 0; i < before.size(); ++i) {
@@ -104,7 +104,7 @@ TEST(Thinning, FeetAreThinnedToTheSameVoxels) {
     EXPECT_LT((feet.points[dense.thinned[all + i] - cloud.size()] - before[i]).norm(), 0.03F);
   }
   PointCloud few = layer(1000.0);
-  EXPECT_TRUE(thin(few, feet, 20000.0, kEdge).empty()) << "where the cloud is not, they are not";
+  EXPECT_TRUE(thin(few, feet, no_isolated, 20000.0, kEdge).empty()) << "where the cloud is not, they are not";
 }
 
 TEST(Thinning, ColoursAndTheSensorsPlacesStayWithTheirPoints) {
@@ -114,7 +114,7 @@ TEST(Thinning, ColoursAndTheSensorsPlacesStayWithTheirPoints) {
     cloud.colors.push_back(point.x() < 0.0F ? 0x204060U : 0x6080A0U);
     cloud.scan_origin.push_back(point.x() < 0.0F ? 0U : 1U);
   }
-  thin(cloud, no_feet, 5000.0, kEdge);
+  thin(cloud, no_feet, no_isolated, 5000.0, kEdge);
   ASSERT_EQ(cloud.colors.size(), cloud.size());
   ASSERT_EQ(cloud.scan_origin.size(), cloud.size());
   EXPECT_EQ(cloud.scan_origins.size(), 2U);

@@ -67,6 +67,7 @@ Block fieldBlock() {
   block.ground = someGround();
   block.ground_points = 77U;
   block.feet = someCloud(3U);
+  block.isolated = someCloud(2U);
   return block;
 }
 
@@ -173,6 +174,7 @@ TEST(Wire, BringsABlockBackWhole) {
   expectSame(sent.ground, got.ground);
   EXPECT_EQ(sent.ground_points, got.ground_points);
   expectSame(sent.feet, got.feet);
+  expectSame(sent.isolated, got.isolated);
   expectSame(overTheWire<Block, Block>(Block()).cloud, PointCloud());
 }
 

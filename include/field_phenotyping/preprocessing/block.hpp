@@ -58,6 +58,7 @@ struct Block {
   GroundModel ground;                ///< in the local frame of `cloud`
   std::uint32_t ground_points = 0U;  ///< soil points that were taken out
   PointCloud feet;                   ///< those beside what stands there: its foot may be among them
+  PointCloud isolated;  ///< above the soil, taken out as outliers: sparse organs may be among them
 };
 
 }  // namespace field_phenotyping

@@ -12,7 +12,7 @@ namespace field_phenotyping {
 struct DensePoints {
   std::vector<Eigen::Vector3f> points;  ///< in the block's local frame [m]
   /// For each the point that stands for it: in the thinned cloud or, counted on, in the thinned
-  /// feet.
+  /// feet or isolated points.
   std::vector<std::uint32_t> thinned;
 
   bool empty() const { return points.empty(); }
@@ -24,8 +24,10 @@ struct DensePoints {
 /// lie inside of stems, the first point itself. Few plants keep all of their points. Thread-safe.
 /// @param cloud of what stands above the soil
 /// @param feet  the soil beside it: thinned to the same voxels
+/// @param isolated points that were taken out of the cloud: likewise
 /// @param edge  of the voxels that their points are centroids of [m]
 /// @return what they were before
-DensePoints thin(PointCloud& cloud, PointCloud& feet, double density, double edge);
+DensePoints thin(PointCloud& cloud, PointCloud& feet, PointCloud& isolated, double density,
+                 double edge);
 
 }  // namespace field_phenotyping

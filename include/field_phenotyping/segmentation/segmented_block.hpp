@@ -45,13 +45,13 @@ struct Plant {
 
 /// A block whose points have been given to plants. `cloud` holds the block's points reordered:
 /// plant by plant, stem points first, what belongs to no plant last; and the stems' lowest points,
-/// out of the block's `feet`. Immutable once handed on.
+/// out of the block's `feet`, and plants' points out of its `isolated`. Immutable once handed on.
 struct SegmentedBlock {
   BlockHeader header;
   PointCloud cloud;
   GroundModel ground;
   std::vector<Plant> plants;
-  /// Of each point, in the `Block`: of its cloud, or, counted on from its size, of its `feet`.
+  /// Of each point, in the `Block`: of its cloud, or, counted on, of its `feet` or its `isolated`.
   std::vector<std::uint32_t> source_index;
 };
 
