@@ -11,7 +11,7 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr std::size_t kSpacings = 4U;  // of an end's outermost points that are looked at
+constexpr std::size_t kSpacings = 3U;  // of an end's outermost points that are looked at
 
 /// An end of a plant, upwards or downwards.
 struct End {
@@ -57,7 +57,7 @@ class Overhang {
   explicit Overhang(std::vector<double> spacings) {
     constexpr std::size_t kFewest = 5U;
     if (spacings.size() < kFewest) return;
-    // A point of a neighbour above a plant is no spacing: nearly no mean of four exponentially
+    // A point of a neighbour above a plant is no spacing: nearly no mean of three exponentially
     // distributed ones is so far above the median.
     constexpr double kMost = 4.0;
     most_ = kMost * medianOf(spacings);

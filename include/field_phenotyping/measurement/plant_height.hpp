@@ -19,7 +19,7 @@ struct PlantHeight {
 /// base to the plant's top (paper 2.7).
 ///
 /// The beams miss the very tip. What they miss is about the mean spacing in height of the highest
-/// points; four spacings of one plant say little of it, and where by chance the highest point is
+/// points; a few spacings of one plant say little of it, and where by chance the highest point is
 /// far up they say too much. So it is taken from all plants of the block (empirical Bayes), each
 /// being drawn towards its own as far as the plants differ by more than chance. It is added, and
 /// enters the standard deviation beside that of the soil; a plant whose highest points are farther
