@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <deque>
 #include <functional>
+#include <memory>
 #include <mutex>
 #include <thread>
 
@@ -21,6 +22,8 @@ class BlockMaker {
   struct Task {
     BlockPoints points;
     PreprocessingParameters parameters;
+    /// Of a draft: the same points, to be made the whole block of once it is out.
+    std::shared_ptr<Task> whole = {};
   };
   /// What it calls, on its thread; none may throw.
   struct Calls {

@@ -8,12 +8,14 @@
 #include <exception>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 
 #include "block_serialization.hpp"
 #include "block_worker.hpp"
 #include "field_phenotyping/common/compute_device.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "parameter_server.hpp"
 #include "stage_health.hpp"
 
@@ -131,6 +133,8 @@ class BlockStage {
   }
 
   void workOn(const Task& task) {
+    std::optional<UrgentWork> urgent;
+    if (headerOf(*task.block).draft) urgent.emplace();
     guarded([&] {
       const ros::WallTime begin = ros::WallTime::now();
       const OutputPtr made = work_(task.block, parameters_.current());

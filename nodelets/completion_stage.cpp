@@ -19,7 +19,7 @@ CompletionStage::CompletionStage(ros::NodeHandle nh, ros::NodeHandle pnh, const 
       done_(historyOf(pnh)),
       completed_(stage_.privateHandle(), "completed", addSynthetic) {
   stage_.start([this](const auto& block, const auto& p) { return work(block, p); },
-               [this] { completed_.update(done_); });
+               [this] { completed_.update(done_); }, Stage::Drafts::kBeside);
 }
 
 CompletionStage::~CompletionStage() {
@@ -28,6 +28,12 @@ CompletionStage::~CompletionStage() {
 
 boost::shared_ptr<const CompletedBlock> CompletionStage::work(
     const boost::shared_ptr<const SegmentedBlock>& block, const CompletionParameters& parameters) {
+  if (block->header.draft) {
+    // No trait is measured from filled-in points, so first values need not wait for them.
+    CompletionParameters as_measured = parameters;
+    as_measured.enabled = false;
+    return boost::make_shared<CompletedBlock>(completeBlock(toStd(block), as_measured));
+  }
   const BlockIndex index = block->header.index;
   const boost::shared_ptr<const CompletedBlock> previous = latestOf(index);
   const auto completed = boost::make_shared<CompletedBlock>(

@@ -13,8 +13,8 @@
 
 namespace field_phenotyping {
 
-/// Third stage as a node: fills the gaps of the stems. The segmented block is passed on by
-/// reference, never copied.
+/// Third stage as a node: fills the gaps of the stems, but of drafts, which pass as they are. The
+/// segmented block is passed on by reference, never copied.
 class CompletionStage {
  public:
   CompletionStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);

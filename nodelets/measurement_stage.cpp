@@ -20,9 +20,11 @@ MeasurementStage::MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, cons
       "markers", 10, [this](const ros::SingleSubscriberPublisher&) { new_listener_ = true; });
   stage_.start([this](const auto& block, const auto& p) { return work(*block, p); },
                [this] {
+                 const std::lock_guard<std::mutex> lock(mutex_);
                  plants_.retry();
                  showMarkers();
-               });
+               },
+               Stage::Drafts::kBeside);
 }
 
 MeasurementStage::~MeasurementStage() {
@@ -33,8 +35,9 @@ MeasurementStage::~MeasurementStage() {
 boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
     const CompletedBlock& block, const MeasurementParameters& parameters) {
   const BlockHeader& header = headerOf(block);
-  const PlantTable::Change change =
-      plants_.update(header, measureBlock(block, parameters, stage_.device()));
+  const std::vector<Phenotype> measured = measureBlock(block, parameters, stage_.device());
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const PlantTable::Change change = plants_.update(header, measured);
   showDeviceUse(stage_.device(), stage_.health());
   const std::vector<Phenotype> plants = plants_.recent().plantsOf(header.index);
   header_ = messageHeader(header);

@@ -5,6 +5,7 @@
 #include <ros/ros.h>
 
 #include <atomic>
+#include <mutex>
 #include <string>
 #include <vector>
 
@@ -32,6 +33,7 @@ class MeasurementStage {
   void showRows();
 
   Stage stage_;
+  std::mutex mutex_;  // of all below but the markers' publisher
   DurableTable plants_;
   std_msgs::Header header_;                               // of the last block
   std::vector<std::int32_t> removed_;                     // plants whose markers are to go

@@ -13,6 +13,7 @@
 
 #include "cloud_decoder.hpp"
 #include "conversions.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -73,6 +74,10 @@ PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
   calls.work = [this](BlockMaker::Task& task) { makeBlock(task); };
   calls.idle = [this] { showDone(); };
   maker_ = std::make_unique<BlockMaker>(std::move(calls));
+  BlockMaker::Calls draft_calls;
+  draft_calls.work = [this](BlockMaker::Task& task) { makeDraft(task); };
+  draft_calls.idle = [] {};
+  drafts_ = std::make_unique<BlockMaker>(std::move(draft_calls));
   worker_ = std::thread([this] { run(); });
   flush_server_ = pnh_.advertiseService("flush", &PreprocessingStage::flush, this);
   input_ = pnh_.subscribe("input", static_cast<std::uint32_t>(queue_size_),
@@ -88,6 +93,7 @@ PreprocessingStage::~PreprocessingStage() {
   input_.shutdown();
   flush_server_.shutdown();
   worker_.join();
+  drafts_.reset();
   maker_.reset();
 }
 
@@ -146,10 +152,10 @@ void PreprocessingStage::step() {
   if (parameters_changed_.exchange(false)) applyParameters();
   const bool added = hasRoom() && addNextScan();
   const bool flush = !added && (asked_to_flush || inputIsIdle());
-  const bool more = handOnBlocks(flush, kMostPending);
+  const bool more = handOnBlocks(flush, WhenFull::kLater);
 
   std::unique_lock<std::mutex> lock(mutex_);
-  if (flush && asked_to_flush && !more && scans_.empty() && maker_->pending() == 0U) {
+  if (flush && asked_to_flush && !more && scans_.empty() && pending() == 0U) {
     flushes_done_ = wanted;
     changed_.notify_all();
   }
@@ -160,7 +166,7 @@ void PreprocessingStage::step() {
 /// Tiles that no scan reaches any more wait in the map until they have gone out; while too many do,
 /// scans wait too.
 bool PreprocessingStage::hasRoom() const {
-  return maker_->pending() == 0U ||
+  return pending() == 0U ||
          (preprocessor_.finishedBlocks() <= kMostFinished &&
           static_cast<double>(preprocessor_.voxels()) <= preprocessor_.parameters().memory_limit);
 }
@@ -348,7 +354,7 @@ void PreprocessingStage::noticeMapJump(const std_msgs::Header& header) {
   text << "the sensor is " << off << " m from where it was heading: the SLAM has moved the map. "
        << "What was seen so far is measured by itself, and fused with what is seen from now on";
   health_.trouble("map jump", text.str());
-  handOnBlocks(true, std::numeric_limits<std::size_t>::max());
+  handOnBlocks(true, WhenFull::kInAnyCase);
   emptyMap();
 }
 
@@ -389,9 +395,9 @@ void PreprocessingStage::emptyMap() {
   due_since_.clear();
 }
 
-/// What is due is taken out of the map, while no more than `most_pending` blocks are in the making.
+/// What is due is taken out of the map: later, if at all, where enough blocks are in the making.
 /// @return whether blocks are left that should be handed on now
-bool PreprocessingStage::handOnBlocks(bool flush, std::size_t most_pending) {
+bool PreprocessingStage::handOnBlocks(bool flush, WhenFull when_full) {
   // One whole cloud needs no preliminary blocks: they are made once, when nothing follows it.
   const bool may_be_whole = scans_added_ < 2U;
   if (!gate_.open() || (may_be_whole && !flush)) return false;
@@ -399,11 +405,20 @@ bool PreprocessingStage::handOnBlocks(bool flush, std::size_t most_pending) {
   const ros::WallTime now = ros::WallTime::now();
   for (const BlockIndex& index : due) due_since_.try_emplace(index, now);
   health_.show("blocks due", static_cast<double>(due.size()));
-  for (std::size_t i = 0; i < due.size(); ++i) {
-    if (maker_->pending() >= most_pending) return true;
-    handOn(due[i], flush);
+  bool more = false;
+  for (const BlockIndex& index : due) {
+    // No draft waits for other blocks; those wait for drafts, which may be of the same tiles.
+    const bool draft = preprocessor_.isDraft(index, flush);
+    const std::size_t drafts = drafts_->pending();
+    const bool full =
+        draft ? drafts >= kMostPending : drafts > 0U || maker_->pending() >= kMostPending;
+    if (full && when_full == WhenFull::kLater) {
+      more = true;
+    } else {
+      handOn(index, flush);
+    }
   }
-  return false;
+  return more;
 }
 
 void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
@@ -425,9 +440,28 @@ void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
     BlockMaker::Task draft = task;
     draft.points.header.draft = true;
     --draft.points.header.revision;
-    maker_->push(std::move(draft));
+    draft.whole = std::make_shared<BlockMaker::Task>(std::move(task));
+    drafts_->push(std::move(draft));
+  } else if (header.draft) {
+    drafts_->push(std::move(task));
+  } else {
+    maker_->push(std::move(task));
   }
-  maker_->push(std::move(task));
+}
+
+/// Blocks that wait or are being made.
+std::size_t PreprocessingStage::pending() const {
+  // Drafts first: what follows one is pushed before that is done.
+  const std::size_t drafts = drafts_->pending();
+  return drafts + maker_->pending();
+}
+
+void PreprocessingStage::makeDraft(BlockMaker::Task& task) {
+  {
+    const UrgentWork urgent;
+    makeBlock(task);
+  }
+  if (task.whole) maker_->push(std::move(*task.whole));
 }
 
 void PreprocessingStage::makeBlock(BlockMaker::Task& task) {
@@ -438,7 +472,10 @@ void PreprocessingStage::makeBlock(BlockMaker::Task& task) {
         boost::make_shared<Block>(finishBlock(std::move(task.points), task.parameters, device_));
     showDeviceUse(device_, health_);
     output_.publish(block);
-    done_.add(block);
+    {
+      const std::lock_guard<std::mutex> lock(done_mutex_);
+      done_.add(block);
+    }
     ground_.changed();
     cloud_.changed();
     if (borders_.getNumSubscribers() > 0U) borders_.publish(blockMarker(*block));
@@ -462,6 +499,7 @@ void PreprocessingStage::makeBlock(BlockMaker::Task& task) {
 
 void PreprocessingStage::showDone() {
   try {
+    const std::lock_guard<std::mutex> lock(done_mutex_);
     ground_.update(done_);
     cloud_.update(done_);
   } catch (const std::exception& error) {

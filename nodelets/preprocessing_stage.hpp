@@ -33,8 +33,9 @@ namespace field_phenotyping {
 /// knows where its sensor was. Any other scan waits for its transform at its own stamp, up to
 /// `~tf_timeout`; without one it is dropped, never placed at a guess. Work is done outside the
 /// callbacks: scans are placed on one thread, and what is due is taken out of the map there; blocks
-/// are made of it on another, so that no scan waits for a block. Where more scans come than can be
-/// placed the oldest are dropped and blocks go out all the same.
+/// are made of it on another, so that no scan waits for a block, and drafts on one more, so that
+/// none waits for larger blocks. Where more scans come than can be placed the oldest are dropped
+/// and blocks go out all the same.
 class PreprocessingStage {
  public:
   PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
@@ -45,6 +46,9 @@ class PreprocessingStage {
     sensor_msgs::PointCloud2ConstPtr message;
     ros::WallTime arrival;
   };
+
+  /// What happens to blocks that are due while enough others are in the making.
+  enum class WhenFull { kLater, kInAnyCase };
 
   // Called by ROS.
   void receive(const sensor_msgs::PointCloud2ConstPtr& message);
@@ -68,12 +72,14 @@ class PreprocessingStage {
   std::optional<Eigen::Vector3d> sensorAt(const std::string& frame_id, const ros::Time& time) const;
   void applyParameters();
   PreprocessingParameters effectiveParameters() const;
-  bool handOnBlocks(bool flush, std::size_t most_pending);
+  bool handOnBlocks(bool flush, WhenFull when_full);
   void handOn(const BlockIndex& index, bool flush);
   void emptyMap();
 
-  // The thread that makes blocks.
+  // The threads that make blocks.
   void makeBlock(BlockMaker::Task& task);
+  void makeDraft(BlockMaker::Task& task);
+  std::size_t pending() const;
   void showDone();
 
   bool isRegistered(const sensor_msgs::PointCloud2& message) const;
@@ -106,7 +112,8 @@ class PreprocessingStage {
   std::uint32_t newest_revision_ = 0U;
   std::map<BlockIndex, ros::WallTime> due_since_;
 
-  // Of the thread that makes blocks alone.
+  // Of the threads that make blocks.
+  std::mutex done_mutex_;
   BlockHistory<Block> done_;
   DisplayTopic<Block> ground_;
   DisplayTopic<Block> cloud_;
@@ -122,7 +129,8 @@ class PreprocessingStage {
   std::uint64_t blocks_made_ = 0U;
   bool running_ = true;
 
-  std::unique_ptr<BlockMaker> maker_;  // from here on: runs on all of the above
+  std::unique_ptr<BlockMaker> maker_;   // from here on: runs on all of the above
+  std::unique_ptr<BlockMaker> drafts_;  // makes those
   std::thread worker_;
   ros::ServiceServer flush_server_;
   ros::Subscriber input_;

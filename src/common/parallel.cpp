@@ -14,6 +14,20 @@ namespace field_phenotyping {
 
 namespace {
 
+thread_local bool is_urgent = false;
+
+/// Where urgent work is done; null where the task library knows no priorities.
+tbb::task_arena* urgentArena() {
+#if TBB_INTERFACE_VERSION >= 12010
+  // Never taken down: threads may still be in it when the process ends.
+  static tbb::task_arena* const arena =
+      new tbb::task_arena(tbb::task_arena::automatic, 1U, tbb::task_arena::priority::high);
+  return arena;
+#else
+  return nullptr;
+#endif
+}
+
 /// Where the threads of the innermost limit work; none: TBB's own, of all cores. TBB also has a
 /// limit for the whole process, but after one of a single thread it often stays with that thread.
 std::atomic<tbb::task_arena*> limited{nullptr};
@@ -22,7 +36,9 @@ std::atomic<tbb::task_arena*> limited{nullptr};
 
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task) {
   const auto run = [&] { tbb::parallel_for(std::size_t{0}, count, task); };
-  if (tbb::task_arena* arena = limited.load()) {
+  tbb::task_arena* arena = limited.load();
+  if (arena == nullptr && is_urgent) arena = urgentArena();
+  if (arena != nullptr) {
     arena->execute(run);
   } else {
     run();
@@ -42,6 +58,14 @@ struct ThreadLimit::Impl {
 
 ThreadLimit::ThreadLimit(int threads) : impl_(new Impl(threads)) {}
 
+UrgentWork::UrgentWork() : outer_(is_urgent) {
+  is_urgent = true;
+}
+
+UrgentWork::~UrgentWork() {
+  is_urgent = outer_;
+}
+
 #else
 
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task) {
@@ -51,6 +75,10 @@ void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task
 struct ThreadLimit::Impl {};
 
 ThreadLimit::ThreadLimit(int /*threads*/) : impl_(nullptr) {}
+
+UrgentWork::UrgentWork() : outer_(false) {}
+
+UrgentWork::~UrgentWork() = default;
 
 #endif
 

@@ -454,6 +454,12 @@ Block Preprocessor::makeBlock(const BlockIndex& index, bool flush, const Compute
   return finishBlock(collect(index, flush), impl_->parameters, device, before_thinning);
 }
 
+bool Preprocessor::isDraft(const BlockIndex& index, bool flush) const {
+  const auto state = impl_->states.find(index);
+  return state != impl_->states.end() && !flush && !impl_->isFinal(state->second) &&
+         impl_->hasChanged(state->second);
+}
+
 BlockPoints Preprocessor::collect(const BlockIndex& index, bool flush) const {
   const PreprocessingParameters& p = impl_->parameters;
   BlockPoints block;
@@ -467,7 +473,7 @@ BlockPoints Preprocessor::collect(const BlockIndex& index, bool flush) const {
     block.header.began_ns = state->second.began_ns;
     block.header.revision = state->second.revision + 1U;
     block.header.final = flush || impl_->isFinal(state->second);
-    block.header.draft = !block.header.final && impl_->hasChanged(state->second);
+    block.header.draft = isDraft(index, flush);
   }
 
   constexpr double kDraftMargin = 0.5;  // of the margin: a stem and what stands above it

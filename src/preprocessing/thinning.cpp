@@ -1,6 +1,7 @@
 #include "field_phenotyping/preprocessing/thinning.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -17,14 +18,23 @@ struct Voxels {
 };
 
 Voxels voxelsOf(const std::vector<Eigen::Vector3f>& points, float edge) {
+  constexpr std::size_t kBatch = 64U;  // of keys whose memory is fetched at once
   Voxels voxels;
   voxels.of_point.reserve(points.size());
   KeyMap<std::uint32_t> numbers;
-  for (std::uint32_t i = 0; i < points.size(); ++i) {
-    const auto next = static_cast<std::uint32_t>(voxels.first.size());
-    const auto [number, is_new] = numbers.tryEmplace(voxelKey(points[i], edge), next);
-    voxels.of_point.push_back(*number);
-    if (is_new) voxels.first.push_back(i);
+  std::array<VoxelKey, kBatch> keys;
+  for (std::size_t begin = 0; begin < points.size(); begin += kBatch) {
+    const std::size_t count = std::min(kBatch, points.size() - begin);
+    for (std::size_t k = 0; k < count; ++k) {
+      keys[k] = voxelKey(points[begin + k], edge);
+      numbers.prefetch(keys[k]);
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+      const auto next = static_cast<std::uint32_t>(voxels.first.size());
+      const auto [number, is_new] = numbers.tryEmplace(keys[k], next);
+      voxels.of_point.push_back(*number);
+      if (is_new) voxels.first.push_back(static_cast<std::uint32_t>(begin + k));
+    }
   }
   return voxels;
 }
@@ -38,6 +48,14 @@ double coveredArea(const std::vector<Eigen::Vector3f>& points) {
     cells.tryEmplace(voxelKey(point, kCell), true);
   }
   return static_cast<double>(cells.size()) * static_cast<double>(kCell * kCell);
+}
+
+std::vector<Eigen::Vector3f> pointsAt(const std::vector<Eigen::Vector3f>& points,
+                                      const std::vector<std::uint32_t>& indices) {
+  std::vector<Eigen::Vector3f> out;
+  out.reserve(indices.size());
+  for (const std::uint32_t i : indices) out.push_back(points[i]);
+  return out;
 }
 
 /// The first point of each voxel.
@@ -87,8 +105,17 @@ DensePoints thin(PointCloud& cloud, PointCloud& feet, PointCloud& isolated, doub
   double width = kFirst * edge;
   while (width < least) width *= kStep;
   Voxels voxels = voxelsOf(cloud.points, static_cast<float>(width));
-  while (static_cast<double>(voxels.first.size()) > most && kStep * width <= kWidest) {
-    width *= kStep;
+  const auto too_many = [&] {
+    return static_cast<double>(voxels.first.size()) > most && kStep * width <= kWidest;
+  };
+  while (too_many()) {
+    // One point of each voxel lies in nearly as many wider ones as all do, never in more.
+    std::vector<Eigen::Vector3f> of_each = pointsAt(cloud.points, voxels.first);
+    while (too_many()) {
+      width *= kStep;
+      voxels = voxelsOf(of_each, static_cast<float>(width));
+      of_each = pointsAt(of_each, voxels.first);
+    }
     voxels = voxelsOf(cloud.points, static_cast<float>(width));
   }
   const bool averaged = width <= kMostAveraged;

@@ -110,5 +110,30 @@ TEST(ThreadLimit, AllCoresWorkAfterAndWithinOne) {
   }
 }
 
+TEST(UrgentWork, IsHelpedWhileOthersHaveWork) {
+  if (std::thread::hardware_concurrency() < 2U) GTEST_SKIP() << "one core only";
+  std::atomic<bool> done{false};
+  const unsigned cores = std::thread::hardware_concurrency();
+  std::vector<std::thread> others;
+  for (unsigned k = 0; k + 1U < cores; ++k) {  // they would keep all threads to themselves
+    others.emplace_back([&done] {
+      while (!done) {
+        parallelFor(
+            2000U, [](std::size_t) { std::this_thread::sleep_for(std::chrono::microseconds(50)); });
+      }
+    });
+  }
+  std::this_thread::sleep_for(std::chrono::milliseconds(50));
+  int met = 0;
+  constexpr int kRounds = 20;
+  for (int round = 0; round < kRounds; ++round) {
+    const UrgentWork urgent;
+    met += tasksMeet() ? 1 : 0;
+  }
+  done = true;
+  for (std::thread& other : others) other.join();
+  EXPECT_EQ(met, kRounds);
+}
+
 }  // namespace
 }  // namespace field_phenotyping

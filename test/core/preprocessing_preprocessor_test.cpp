@@ -341,6 +341,8 @@ TEST(Preprocessor, WhatHasChangedIsADraftAndABetterBlockFollowsOnceItHasSettled)
   ASSERT_TRUE(isDue(preprocessor, index));
   EXPECT_TRUE(preprocessor.collect(index, false).header.draft) << "much is new";
   EXPECT_FALSE(preprocessor.collect(index, true).header.draft) << "the last is no draft";
+  EXPECT_TRUE(preprocessor.isDraft(index, false));
+  EXPECT_FALSE(preprocessor.isDraft(index, true));
 }
 
 TEST(Preprocessor, DraftsAreThinnerThanWhatFollows) {

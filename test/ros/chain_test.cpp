@@ -100,6 +100,30 @@ TEST_F(Chain, HandsOnAddressesNotCopies) {
   for (const auto& entry : newest_completed) EXPECT_EQ(entry.second.use_count(), 2);
 }
 
+TEST_F(Chain, DraftsPassCompletionAsTheyAre) {
+  Collector<CompletedBlock> completed(client_->nodeHandle(), topic("completion/output"));
+  client_->driveBy(20);
+  ASSERT_TRUE(client_->waitFor([] { return client_->foundEveryPlant(); }, 40.0));
+  std::size_t in_drafts = 0U;
+  std::size_t in_others = 0U;
+  std::size_t filled_in = 0U;
+  for (const auto& block : completed.messages) {
+    const std::vector<Plant>& plants = block->segmented->plants;
+    ASSERT_EQ(block->stems.size(), plants.size());
+    ASSERT_EQ(block->synthetic_span.size(), plants.size());
+    if (block->segmented->header.draft) {
+      in_drafts += plants.size();
+      EXPECT_EQ(block->synthetic.size(), 0U);
+    } else {
+      in_others += plants.size();
+      filled_in += block->synthetic.size();
+    }
+  }
+  EXPECT_GT(in_drafts, 0U);
+  EXPECT_GT(in_others, 0U);
+  EXPECT_GT(filled_in, 0U);
+}
+
 TEST_F(Chain, TakesTheValuesOfTheParameterServerAndNamesMisspeltOnes) {
   EXPECT_EQ(reconfigure("alpha", 0.2).r1, 0.045) << "the .cfg default won over the given value";
   EXPECT_TRUE(client_->heardOf(

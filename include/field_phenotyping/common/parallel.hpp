@@ -37,4 +37,18 @@ class ThreadLimit {
   Impl* impl_;
 };
 
+/// While it lives, other threads help with what this thread calls parallelFor() for before they
+/// help with what threads without one call it for. Where the task library knows no priorities
+/// (before oneTBB 2021) they help with both.
+class UrgentWork {
+ public:
+  UrgentWork();
+  ~UrgentWork();
+  UrgentWork(const UrgentWork&) = delete;
+  UrgentWork& operator=(const UrgentWork&) = delete;
+
+ private:
+  bool outer_;
+};
+
 }  // namespace field_phenotyping

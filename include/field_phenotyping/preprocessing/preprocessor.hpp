@@ -76,6 +76,9 @@ class Preprocessor {
   /// How many of them no scan reaches any more: they are held only until they are handed on.
   std::size_t finishedBlocks() const;
 
+  /// Whether what is handed on of block `index` now is a draft.
+  bool isDraft(const BlockIndex& index, bool flush) const;
+
   /// Takes out what has accumulated for block `index`: a copy, much quicker than finishBlock().
   BlockPoints collect(const BlockIndex& index, bool flush) const;
 
