@@ -34,7 +34,8 @@ static_assert(std::uint32_t{PlantPhenotype::OK} == kOk &&
                   std::uint32_t{PlantPhenotype::TRUNCATED} == kTruncated &&
                   std::uint32_t{PlantPhenotype::LOW_CONFIDENCE} == kLowConfidence &&
                   std::uint32_t{PlantPhenotype::PRIOR_DRIVEN} == kPriorDriven &&
-                  std::uint32_t{PlantPhenotype::MERGED_SUSPECT} == kMergedSuspect,
+                  std::uint32_t{PlantPhenotype::MERGED_SUSPECT} == kMergedSuspect &&
+                  std::uint32_t{PlantPhenotype::UNLIKE_STAND} == kUnlikeStand,
               "the constants of PlantPhenotype.msg must equal QualityFlag");
 static_assert(std::uint8_t{PlantPhenotype::COMPLETION_TOO_FEW_POINTS} == kCompletionTooFewPoints &&
                   std::uint8_t{PlantPhenotype::COMPLETION_NO_SURFACE} == kCompletionNoSurface &&

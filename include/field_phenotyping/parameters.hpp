@@ -302,7 +302,8 @@ struct MeasurementParameters {
       p.ellipticity_prior, 0.0, 1.0);
     v(ParameterInfo{"block_shape_prior", "",
                     "noise, taper and ellipticity of a stem are expected to be like those of the "
-                    "block's other stems"},
+                    "block's other stems, and a diameter quite unlike theirs is known less well "
+                    "(unlike_stand)"},
       p.block_shape_prior, false, true);
     v(ParameterInfo{"block_diameter_prior", "",
                     "the same of its diameter, which pulls diameters towards the block's mean: not "

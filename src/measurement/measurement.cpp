@@ -7,6 +7,7 @@
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/measurement/diameter_doubt.hpp"
 #include "field_phenotyping/measurement/lean.hpp"
 #include "field_phenotyping/measurement/plant_height.hpp"
 #include "field_phenotyping/measurement/row_spacing.hpp"
@@ -79,6 +80,27 @@ bool looksMerged(const BlockPrior& block, std::size_t index) {
          own.outlier_share > std::max(kManyOutliers, kMoreOutliers * block.median_outlier_share);
 }
 
+/// Widens what a fit says it is known to where it is likely wrong.
+void allowFor(const DiameterDoubt& doubt, StemDiameter& diameter) {
+  if (doubt.wrong > 0.5) diameter.flags |= kUnlikeStand;
+  const double factor = doubt.diameter.stddev / diameter.major.stddev;
+  if (!(factor > 1.0)) return;
+  for (Trait* trait : {&diameter.minor, &diameter.equivalent, &diameter.volume}) {
+    trait->stddev *= factor;
+  }
+  diameter.major = doubt.diameter;
+}
+
+/// Of the stems that the block owns, given those of all its stems as they are alone.
+void compareWithStand(const std::vector<std::size_t>& owned, const std::vector<StemDiameter>& alone,
+                      std::vector<StemDiameter>& diameters) {
+  std::vector<Trait> stand;
+  for (const StemDiameter& stem : alone) stand.push_back(stem.major);
+  for (std::size_t k = 0; k < owned.size(); ++k) stand[owned[k]] = diameters[k].major;
+  const std::vector<DiameterDoubt> doubts = doubtDiameters(stand);
+  for (std::size_t k = 0; k < owned.size(); ++k) allowFor(doubts[owned[k]], diameters[k]);
+}
+
 Phenotype measurePlant(const CompletedBlock& completed, std::size_t index,
                        const PlantSpacing& spacing, const PlantHeight& height,
                        const BlockPrior& prior, const StemDiameter& diameter,
@@ -148,8 +170,9 @@ std::vector<Phenotype> measureBlock(const CompletedBlock& block,
   if (!prior.alone.empty()) {
     for (const std::size_t i : owned) alone.push_back(prior.alone[i]);
   }
-  const std::vector<StemDiameter> diameters =
+  std::vector<StemDiameter> diameters =
       measureStemDiameters(*block.segmented, owned, parameters, prior.prior, alone, device);
+  if (!prior.alone.empty()) compareWithStand(owned, prior.alone, diameters);
   std::vector<Phenotype> phenotypes(owned.size());
   parallelFor(owned.size(), [&](std::size_t i) {
     phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], heights[owned[i]], prior,

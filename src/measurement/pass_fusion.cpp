@@ -8,8 +8,8 @@ namespace field_phenotyping {
 namespace {
 
 constexpr std::uint32_t kDoubtfulHeight = kGroundExtrapolated | kGroundMissing | kTruncated;
-constexpr std::uint32_t kDoubtfulDiameter =
-    kTooFewPoints | kArcBelow | kPoorFit | kHeightShifted | kPriorDriven | kMergedSuspect;
+constexpr std::uint32_t kDoubtfulDiameter = kTooFewPoints | kArcBelow | kPoorFit | kHeightShifted |
+                                            kPriorDriven | kMergedSuspect | kUnlikeStand;
 
 bool counts(const Trait& trait) {
   return std::isfinite(trait.value) && std::isfinite(trait.stddev) && trait.stddev > 0.0;

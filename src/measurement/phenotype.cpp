@@ -20,6 +20,7 @@ std::string flagNames(std::uint32_t flags) {
       {kLowConfidence, "low_confidence"},
       {kPriorDriven, "prior_driven"},
       {kMergedSuspect, "merged_suspect"},
+      {kUnlikeStand, "unlike_stand"},
   };
   return joinFlagNames(flags, kNames);
 }

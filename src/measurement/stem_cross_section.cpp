@@ -74,13 +74,26 @@ void setPriorShares(double radius_variance, double ellipse_variance, const Infor
   result.prior_share = std::clamp(0.25 * known / (radius_variance + ellipse_variance), 0.0, 1.0);
 }
 
+/// Widens the covariance of some parameters by a factor.
+void scale(double factor, int first, int size, Information& covariance) {
+  covariance.middleRows(first, size) *= std::sqrt(factor);
+  covariance.middleCols(first, size) *= std::sqrt(factor);
+}
+
+/// By how much the variances of a fit of few points are too small: it follows their noise in more
+/// than its own parameters, as in which of them it takes for outliers. As of residuals, n / (n -
+/// fitted).
+double fewPointsFactor(const SurfaceMixtureFit& fit) {
+  constexpr double kLeastFree = 0.4;  // share of the points: less is no better known
+  const double free = std::max(fit.surface_points - fit.fitted, kLeastFree * fit.surface_points);
+  return fit.surface_points / free;
+}
+
 /// Widens the covariance of some parameters to at least that of `other`.
 void widen(const Information& other, int first, int size, Information& covariance) {
   const double ratio = other.diagonal().segment(first, size).sum() /
                        covariance.diagonal().segment(first, size).sum();
-  if (!(ratio > 1.0)) return;
-  covariance.middleRows(first, size) *= std::sqrt(ratio);
-  covariance.middleCols(first, size) *= std::sqrt(ratio);
+  if (ratio > 1.0) scale(ratio, first, size, covariance);
 }
 
 /// What not knowing the elongation of the noise better than so makes uncertain; it was fitted as
@@ -93,9 +106,7 @@ void addElongation(double stddev, Information& covariance) {
 /// Nothing is known worse of the radius than its prior says.
 void limitRadius(double prior_variance, Information& covariance) {
   const double ratio = prior_variance / covariance(kRadius, kRadius);
-  if (!(ratio < 1.0)) return;
-  covariance.row(kRadius) *= std::sqrt(ratio);
-  covariance.col(kRadius) *= std::sqrt(ratio);
+  if (ratio < 1.0) scale(ratio, kRadius, 1, covariance);
 }
 
 /// Nor of the ellipticity; `only_prior`: nor better.
@@ -153,13 +164,13 @@ StemCrossSection crossSectionOf(const SurfaceMixtureFit& fit, const CrossSection
     widen(Eigen::Map<const Information>(other), kRadius, 1, covariance);
     widen(Eigen::Map<const Information>(other), kEllipse, 2, covariance);
   }
+  scale(fewPointsFactor(fit), kRadius, 1, covariance);
   const double ellipse_variance =
       std::pow(std::max(prior.ellipticity_stddev, 1e-4) * p[kRadius], 2);
   addElongation(prior.elongation.stddev, covariance);
   result.arc_coverage = fit.arc_coverage;
   const double unseen = std::clamp((kFullArc - result.arc_coverage) / kPartArc, 0.0, 1.0);
-  covariance.row(kRadius) *= 1.0 + kPartArcExcess * unseen;
-  covariance.col(kRadius) *= 1.0 + kPartArcExcess * unseen;
+  scale(std::pow(1.0 + kPartArcExcess * unseen, 2), kRadius, 1, covariance);
   limitRadius(fit.radius_prior_variance, covariance);
   limitEllipticity(shapeless, ellipse_variance, covariance);
 

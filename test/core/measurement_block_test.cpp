@@ -617,6 +617,7 @@ TEST(Flags, HaveNames) {
   EXPECT_EQ(flagNames(kOk), "ok");
   EXPECT_EQ(flagNames(kTooFewPoints | kPriorDriven), "too_few_points|prior_driven");
   EXPECT_EQ(flagNames(kMergedSuspect), "merged_suspect");
+  EXPECT_EQ(flagNames(kUnlikeStand), "unlike_stand");
 }
 
 }  // namespace

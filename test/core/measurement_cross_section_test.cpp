@@ -321,6 +321,17 @@ TEST(CrossSection, FewPoints) {
   }
 }
 
+TEST(CrossSection, FewPointsAreHonest) {
+  double coverage = 0.0;
+  for (const int points : {20, 25, 30}) {
+    Scene scene;
+    scene.points = points;
+    coverage += printed("few points " + std::to_string(points), scene, {}, 300).coverage / 3.0;
+  }
+  EXPECT_GT(coverage, 0.92);
+  EXPECT_LT(coverage, 0.98);
+}
+
 TEST(CrossSection, NoiseAsLargeAsTheStem) {
   Scene scene;
   scene.noise = 0.010;

@@ -22,6 +22,7 @@ enum QualityFlag : std::uint32_t {
   kLowConfidence = 1U << 8U,       ///< weak stem evidence: may not be a plant at all
   kPriorDriven = 1U << 9U,         ///< a prior, not the points, decides the value
   kMergedSuspect = 1U << 10U,      ///< stem is as flat, or scatters as much, as two in one
+  kUnlikeStand = 1U << 11U,        ///< likelier a wrong fit than a plant so unlike the others
 };
 
 /// Lower-case names of the flags that are set, joined by '|'; "ok" when none is.

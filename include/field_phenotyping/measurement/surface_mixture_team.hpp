@@ -21,6 +21,7 @@ struct SurfaceMixtureFit {
   double radius_prior_variance = 0.0;
   double outlier_share = 0.0;
   double surface_points = 0.0;  ///< expected number of points that are no outliers
+  double fitted = 0.0;          ///< parameters of the shape that the points, not the priors, decide
   double freedom = 0.0;       ///< points that the noise is known from, beyond those that the shape
                               ///< takes; its prior counts too
   double arc_coverage = 0.0;  ///< share of the circumference at which points are
@@ -322,6 +323,7 @@ class SurfaceMixtureSolver {
       fit.radius_prior_variance = 1.0 / prior_.weight[kRadius];
       fit.outlier_share = outlier_share_;
       fit.surface_points = members;
+      fit.fitted = fitted_;
       fit.freedom = members - fitted_ + 0.5 * prior_.weight[kNoise];
       fit.arc_coverage = arc_coverage;
     }
