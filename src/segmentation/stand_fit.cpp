@@ -97,7 +97,9 @@ void refineMidlines(const GrowthScene& scene, float max_radius, float plant_heig
   });
   std::vector<LeafBases> leaf_bases(stems.size());
   if (leaves_known) {
-    leaf_bases = findLeafBases(scene.points, members, midlinesOf(stems), device);
+    // What is plainly a leaf's is left out: that few bases lie a little off moves no surface.
+    leaf_bases =
+        findLeafBases(scene.points, members, midlinesOf(stems), device, LeafSearchEffort::kRough);
   }
   parallelFor(stems.size(), [&](std::size_t s) {
     Midline& midline = stems[s].midline;
