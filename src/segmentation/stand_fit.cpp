@@ -97,7 +97,7 @@ void refineMidlines(const GrowthScene& scene, float max_radius, float plant_heig
   });
   std::vector<LeafBases> leaf_bases(stems.size());
   if (leaves_known) {
-    // What is plainly a leaf's is left out: that few bases lie a little off moves no surface.
+    // What is plainly a leaf's is left out; a base that is missed hardly moves the surface.
     leaf_bases =
         findLeafBases(scene.points, members, midlinesOf(stems), device, LeafSearchEffort::kRough);
   }

@@ -12,7 +12,7 @@ namespace field_phenotyping {
 /// How thoroughly leaf bases are searched for.
 enum class LeafSearchEffort {
   kFull,
-  kRough,  ///< from two slopes: in half the time nearly all, of which some lie a little off
+  kRough,  ///< from two slopes: less than half the work, for most of them
 };
 
 /// The leaf bases of one stem, and which points near its surface are theirs.
