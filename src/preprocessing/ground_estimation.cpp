@@ -11,6 +11,7 @@
 
 #include "common/gpu_streams.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/preprocessing/soil_plane_team.hpp"
 #include "preprocessing/soil_plane_gpu.hpp"
@@ -327,15 +328,13 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
 
   // 3. The soil at every node.
   std::vector<GroundModel::Node> nodes(node_count);
-  for (int j = 0; j < rows; ++j) {
-    for (int i = 0; i < columns; ++i) {
-      const Eigen::Vector2f position =
-          extent.low + spacing * Eigen::Vector2f(static_cast<float>(i), static_cast<float>(j));
-      const auto node = static_cast<std::size_t>(j) * static_cast<std::size_t>(columns) +
-                        static_cast<std::size_t>(i);
-      nodes[node] = fitNode(position, block_plane, nearby[node], spacing, max_slope);
-    }
-  }
+  parallelFor(node_count, [&](std::size_t node) {
+    const std::size_t row = node / static_cast<std::size_t>(columns);
+    const std::size_t column = node % static_cast<std::size_t>(columns);
+    const Eigen::Vector2f position =
+        extent.low + spacing * Eigen::Vector2f(static_cast<float>(column), static_cast<float>(row));
+    nodes[node] = fitNode(position, block_plane, nearby[node], spacing, max_slope);
+  });
   fillUnseenNodes(nodes, columns, rows);
   return {extent.low, spacing, columns, rows, std::move(nodes), observed};
 }

@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -90,11 +91,15 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner, fl
     counts.back() += 1.0F;
     if (cells.owner.back() < 0) cells.owner.back() = owner[i];
   }
-  for (std::size_t n = 0; n < cells.size(); ++n) cells.centers[n] /= counts[n];
-  for (std::size_t n = 0; n < cells.size(); ++n) {
-    cells.is_stem.push_back(cells.owner[n] >= 0 ? 1U : 0U);
-    cells.is_low.push_back(block.ground.heightAbove(cells.centers[n]) < kWeedHeight ? 1U : 0U);
-  }
+  cells.is_stem.resize(cells.size());
+  cells.is_low.resize(cells.size());
+  parallelChunks(cells.size(), kChunk, [&](std::size_t begin_cell, std::size_t end_cell) {
+    for (std::size_t n = begin_cell; n < end_cell; ++n) {
+      cells.centers[n] /= counts[n];
+      cells.is_stem[n] = cells.owner[n] >= 0 ? 1U : 0U;
+      cells.is_low[n] = block.ground.heightAbove(cells.centers[n]) < kWeedHeight ? 1U : 0U;
+    }
+  });
   // Stems would pull the shape of what passes them towards their own.
   std::vector<Eigen::Vector3f> organs;
   for (std::size_t n = 0; n < cells.size(); ++n) {
@@ -879,66 +884,74 @@ void assignPieces(Cells& cells, const Pieces& pieces, const std::vector<std::vec
   const std::vector<std::vector<Misfit>> misfits_of =
       compareForms(cells, pieces, hosts, form, misfit_weight);
   const NeighborGrid grid(cells.centers, reach);
+  std::vector<std::vector<Misfit>> ways(hosts.size());  // costs of the cheapest of each plant
+  std::vector<std::vector<Misfit>> costs_of(hosts.size());
+  constexpr std::size_t kTogether = 4U;  // plants of a task
+  parallelChunks(hosts.size(), kTogether, [&](std::size_t begin, std::size_t end) {
+    std::vector<float> cost(count, kNone);
+    std::vector<float> start(count, kNone);    // at the stem
+    std::vector<float> misfits(count, kNone);  // of pieces near the plant
+    for (std::size_t plant = begin; plant < end; ++plant) {
+      const StemAxis& axis = *hosts[plant].axis;
+      if (misfits_of[plant].empty()) continue;
+      for (const Misfit& misfit : misfits_of[plant]) misfits[misfit.piece] = misfit.cost;
+
+      constexpr float kBeyondTop = 0.15F;  // [m] leaves of the whorl stand on above the end
+      const float slab = 0.5F * reach;
+      for (float s = 0.0F; s <= axis.length() + kBeyondTop; s += slab) {
+        const Eigen::Vector3f middle = axis.pointAt(s);
+        const float radius = axis.radiusAt(s);
+        grid.forEachWithin(middle, reach, [&](std::uint32_t n, float) {
+          if (pieces.of_cell[n] < 0) return;
+          const Eigen::Vector3f& center = cells.centers[n];
+          if (std::abs(center.z() - middle.z()) > 0.5F * slab) return;
+          const auto piece = static_cast<std::uint32_t>(pieces.of_cell[n]);
+          if (misfits[piece] == kNone) return;
+          const float away = (center - axis.pointAtHeight(center.z())).head<2>().norm();
+          const float gap = std::max(0.0F, away - radius);
+          if (gap >= kGapScale * start[piece]) return;
+          if (gap > kNearReach && cells.is_low[n] != 0U) return;
+          start[piece] = std::min(
+              start[piece], gap / kGapScale + form.misfit(cells.shapes[n], center, hosts[plant]));
+        });
+      }
+
+      Queue open;
+      const auto offer = [&](std::uint32_t piece, float through) {
+        if (misfits[piece] == kNone) return;
+        through += misfits[piece];
+        if (through >= std::min(cost[piece], kMostCost)) return;
+        cost[piece] = through;
+        open.push({through, piece});
+      };
+      for (const Misfit& misfit : misfits_of[plant]) {
+        if (start[misfit.piece] < kMostCost) offer(misfit.piece, start[misfit.piece]);
+      }
+      while (!open.empty()) {
+        const Entry entry = open.top();
+        open.pop();
+        if (entry.cost > cost[entry.node]) continue;
+        for (const Link& link : links[entry.node]) offer(link.piece, entry.cost + link.cost);
+      }
+      for (const Misfit& misfit : misfits_of[plant]) {
+        if (cost[misfit.piece] < kMostCost) {
+          ways[plant].push_back({misfit.piece, cost[misfit.piece]});
+          // What the way costs says less of a piece than its own form does.
+          constexpr float kWayShare = 0.5F;
+          costs_of[plant].push_back(
+              {misfit.piece, misfit.cost + kWayShare * (cost[misfit.piece] - misfit.cost)});
+        }
+        cost[misfit.piece] = start[misfit.piece] = misfits[misfit.piece] = kNone;
+      }
+    }
+  });
   std::vector<float> least(count, kNone);
   std::vector<std::int32_t> plant_of(count, -1);
-  std::vector<float> cost(count, kNone);
-  std::vector<float> start(count, kNone);    // at the stem
-  std::vector<float> misfits(count, kNone);  // of pieces near the plant
-  std::vector<std::vector<Misfit>> costs_of(hosts.size());
   for (std::size_t plant = 0; plant < hosts.size(); ++plant) {
-    const StemAxis& axis = *hosts[plant].axis;
-    if (misfits_of[plant].empty()) continue;
-    for (const Misfit& misfit : misfits_of[plant]) misfits[misfit.piece] = misfit.cost;
-
-    constexpr float kBeyondTop = 0.15F;  // [m] leaves of the whorl stand on above the end
-    const float slab = 0.5F * reach;
-    for (float s = 0.0F; s <= axis.length() + kBeyondTop; s += slab) {
-      const Eigen::Vector3f middle = axis.pointAt(s);
-      const float radius = axis.radiusAt(s);
-      grid.forEachWithin(middle, reach, [&](std::uint32_t n, float) {
-        if (pieces.of_cell[n] < 0) return;
-        const Eigen::Vector3f& center = cells.centers[n];
-        if (std::abs(center.z() - middle.z()) > 0.5F * slab) return;
-        const auto piece = static_cast<std::uint32_t>(pieces.of_cell[n]);
-        if (misfits[piece] == kNone) return;
-        const float away = (center - axis.pointAtHeight(center.z())).head<2>().norm();
-        const float gap = std::max(0.0F, away - radius);
-        if (gap >= kGapScale * start[piece]) return;
-        if (gap > kNearReach && cells.is_low[n] != 0U) return;
-        start[piece] = std::min(
-            start[piece], gap / kGapScale + form.misfit(cells.shapes[n], center, hosts[plant]));
-      });
-    }
-
-    Queue open;
-    const auto offer = [&](std::uint32_t piece, float through) {
-      if (misfits[piece] == kNone) return;
-      through += misfits[piece];
-      if (through >= std::min(cost[piece], kMostCost)) return;
-      cost[piece] = through;
-      open.push({through, piece});
-    };
-    for (const Misfit& misfit : misfits_of[plant]) {
-      if (start[misfit.piece] < kMostCost) offer(misfit.piece, start[misfit.piece]);
-    }
-    while (!open.empty()) {
-      const Entry entry = open.top();
-      open.pop();
-      if (entry.cost > cost[entry.node]) continue;
-      if (entry.cost < least[entry.node]) {
-        least[entry.node] = entry.cost;
-        plant_of[entry.node] = static_cast<std::int32_t>(plant);
-      }
-      for (const Link& link : links[entry.node]) offer(link.piece, entry.cost + link.cost);
-    }
-    for (const Misfit& misfit : misfits_of[plant]) {
-      if (cost[misfit.piece] < kMostCost) {
-        // What the way costs says less of a piece than its own form does.
-        constexpr float kWayShare = 0.5F;
-        costs_of[plant].push_back(
-            {misfit.piece, misfit.cost + kWayShare * (cost[misfit.piece] - misfit.cost)});
-      }
-      cost[misfit.piece] = start[misfit.piece] = misfits[misfit.piece] = kNone;
+    for (const Misfit& way : ways[plant]) {
+      if (way.cost >= least[way.piece]) continue;
+      least[way.piece] = way.cost;
+      plant_of[way.piece] = static_cast<std::int32_t>(plant);
     }
   }
   if (settle) settlePieces(costs_of, links, plant_of);
@@ -972,20 +985,22 @@ void growPaths(Cells& cells, const std::vector<Host>& hosts, const LeafForm& for
   constexpr float kLeastMisfit = 0.1F;  // what a step costs through an organ that fits its plant
   const NeighborGrid grid(cells.centers, reach);
   std::vector<float> cost(cells.size(), 0.0F);  // 0: has its owner already
-  std::vector<std::uint8_t> is_source(cells.size(), 0U);
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (cells.owner[n] >= 0) continue;
-    if (only_tall && cells.is_low[n] != 0U) continue;
-    cost[n] = std::numeric_limits<float>::max();
-    grid.forEachWithin(cells.centers[n], reach, [&](std::uint32_t near, float) {
-      if (cells.owner[near] >= 0) is_source[near] = 1U;
-    });
-  }
+  std::vector<std::atomic<bool>> is_source(cells.size());
+  parallelChunks(cells.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t n = begin; n < end; ++n) {
+      if (cells.owner[n] >= 0) continue;
+      if (only_tall && cells.is_low[n] != 0U) continue;
+      cost[n] = std::numeric_limits<float>::max();
+      grid.forEachWithin(cells.centers[n], reach, [&](std::uint32_t near, float) {
+        if (cells.owner[near] >= 0) is_source[near].store(true, std::memory_order_relaxed);
+      });
+    }
+  });
   // Paths of one plant come to a cell from many sides.
   std::vector<std::pair<std::int32_t, float>> misfits(cells.size(), {-1, 0.0F});
   Queue open;
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (is_source[n] != 0U) open.push({0.0F, n});
+    if (is_source[n].load(std::memory_order_relaxed)) open.push({0.0F, n});
   }
   while (!open.empty()) {
     const Entry entry = open.top();

@@ -284,12 +284,22 @@ void RowModel::fitSpacing(const std::vector<PlantPlace>& places, double hint) {
   constexpr double kSmallest = 0.05;  // [m]
   constexpr double kLargest = 1.0;
   const Range spacings = hinted(hint, kSmallest, kLargest);
-  double most = -std::numeric_limits<double>::infinity();
-  RowModel best = *this;
-  RowModel trial = *this;
-  std::vector<Multiples> multiples(intervals.size());
+  struct Best {
+    double likelihood = -std::numeric_limits<double>::infinity();
+    double spacing = 0.0;
+    double scatter = 0.0;
+    double missing = 0.0;
+  };
+  std::vector<Best> of_spacings;
   for (double spacing = spacings.low; spacing <= spacings.high; spacing *= 1.03) {
-    trial.plant_spacing_ = spacing;
+    of_spacings.emplace_back();
+    of_spacings.back().spacing = spacing;
+  }
+  parallelFor(of_spacings.size(), [&](std::size_t s) {
+    Best& best = of_spacings[s];
+    RowModel trial;
+    trial.plant_spacing_ = best.spacing;
+    std::vector<Multiples> multiples(intervals.size());
     for (const double scatter : {0.08, 0.14, 0.2, 0.3, 0.4}) {
       trial.spacing_scatter_ = scatter;
       for (std::size_t i = 0; i < intervals.size(); ++i) {
@@ -301,13 +311,20 @@ void RowModel::fitSpacing(const std::vector<PlantPlace>& places, double hint) {
         for (std::size_t i = 0; i < intervals.size(); ++i) {
           likelihood.add(trial.intervalDensity(intervals[i], multiples[i]));
         }
-        if (likelihood.value() <= most) continue;
-        most = likelihood.value();
-        best = trial;
+        if (likelihood.value() <= best.likelihood) continue;
+        best.likelihood = likelihood.value();
+        best.scatter = scatter;
+        best.missing = missing;
       }
     }
-  }
-  *this = best;
+  });
+  const auto best =
+      std::max_element(of_spacings.begin(), of_spacings.end(), [](const Best& a, const Best& b) {
+        return a.likelihood < b.likelihood;
+      });  // the first of the best
+  plant_spacing_ = best->spacing;
+  spacing_scatter_ = best->scatter;
+  missing_ = best->missing;
 }
 
 RowModel::Neighbors RowModel::neighborsOf(const Eigen::Vector2d& position,

@@ -231,7 +231,7 @@ std::vector<std::vector<Link>> linkClusters(const std::vector<Cluster>& clusters
   float steepest = 0.0F;
   for (const Cluster& cluster : clusters) steepest = std::max(steepest, cluster.slope.norm());
   std::vector<std::vector<Link>> links(clusters.size());
-  for (std::size_t high = 0; high < clusters.size(); ++high) {
+  parallelFor(clusters.size(), [&](std::size_t high) {
     const Eigen::Vector3f& center = clusters[high].center;
     // What lies below and no farther aside than any slopes there could foretell.
     const float aside =
@@ -255,7 +255,7 @@ std::vector<std::vector<Link>> linkClusters(const std::vector<Cluster>& clusters
                           links[high].push_back({low, kGapCost * static_cast<float>(skipped) +
                                                           0.5F * bend * bend + 0.5F * excess});
                         });
-  }
+  });
   return links;
 }
 

@@ -9,6 +9,12 @@
 
 namespace field_phenotyping {
 
+/// How thoroughly leaf bases are searched for.
+enum class LeafSearchEffort {
+  kFull,
+  kRough,  ///< from two slopes: less than half the work, for most of them
+};
+
 /// The leaf bases of one stem, and which points near its surface are theirs.
 ///
 /// Within the first centimetres a leaf lies closer to the stem than the noise of a point, so that
@@ -25,7 +31,7 @@ class LeafBases {
   /// @param members indices of the points within about `kReach` of the surface, those of leaves
   /// included
   LeafBases(const std::vector<Eigen::Vector3f>& points, const std::vector<std::uint32_t>& members,
-            const Midline& midline);
+            const Midline& midline, LeafSearchEffort effort = LeafSearchEffort::kFull);
   /// @param spread noise of the midline's surface [m]
   LeafBases(std::vector<LeafBase> bases, float spread);
 
@@ -53,6 +59,7 @@ class LeafBases {
 std::vector<LeafBases> findLeafBases(const std::vector<Eigen::Vector3f>& points,
                                      const std::vector<std::vector<std::uint32_t>>& members,
                                      const std::vector<const Midline*>& midlines,
-                                     const ComputeDevice& device);
+                                     const ComputeDevice& device,
+                                     LeafSearchEffort effort = LeafSearchEffort::kFull);
 
 }  // namespace field_phenotyping
