@@ -11,6 +11,7 @@
 #include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/surface_prior.hpp"
 #include "field_phenotyping/measurement/stem_cross_section.hpp"
 #include "field_phenotyping/pipeline.hpp"
@@ -284,6 +285,34 @@ TEST_F(Gpu, SurfacePriorsAreTheSameBitForBit) {
   }
   EXPECT_GT(valid, stems.size()) << "of twice as many";
   EXPECT_EQ(device_.use().gpu_steps, 4U) << "two times two batches";
+}
+
+TEST_F(Gpu, SurfacesAreTheSameBitForBit) {
+  std::vector<RbfToRead> surfaces;
+  std::mt19937 random(41U);
+  std::uniform_real_distribution<double> uniform;
+  for (int i = 0; i < 700; ++i) {  // more than are worked on at once
+    // Some are too wide for shared memory, and one has nothing in it.
+    const int count = i % 50 == 7 ? 500 : i % 150;
+    const double radius = count == 500 ? 0.05 : 0.012;
+    std::vector<SurfaceSample> centers;
+    for (int k = 0; k < count; ++k) {
+      const double theta = (i % 2 == 0 ? 3.0 : 6.3) * uniform(random);
+      centers.push_back(
+          {{theta, 0.24 * uniform(random)}, 0.002 * uniform(random) - 0.001, 1.0 + k % 3});
+    }
+    surfaces.push_back({RbfSystem(centers, radius, {i % 3 == 0 ? 3.0 : 1.0, 1e-3, 0.0005}), {}});
+    for (int k = 0; k < i % 200; ++k) {
+      surfaces.back().places.push_back(
+          surfaces.back().system.index().embed({6.3 * uniform(random), 0.24 * uniform(random)}));
+    }
+  }
+  std::vector<const RbfToRead*> given;
+  for (const RbfToRead& surface : surfaces) given.push_back(&surface);
+  const std::vector<std::vector<double>> on_cpu = readSurfaces(given, {});
+  for (int run = 0; run < 2; ++run) EXPECT_EQ(on_cpu, readSurfaces(given, device_));
+  EXPECT_GE(device_.use().gpu_steps, 4U);
+  EXPECT_TRUE(readSurfaces({}, device_).empty());
 }
 
 TEST_F(Gpu, LeafBasesAreTheSameBitForBit) {
