@@ -211,7 +211,6 @@ std::vector<double> settingsOf(const StemModel& model) {
 void smoothMeasured(const PointCloud& cloud, IndexSpan stem, const SurfacePrior& prior,
                     const MeasuredSurface& measured, const StemState& state,
                     std::vector<Eigen::Vector3f>& smoothed) {
-  constexpr float kMostOfAColor = 255.0F;
   long index = 0;
   const StemRegion* region = nullptr;
   for (std::size_t i = 0; i < measured.points().size(); ++i) {
@@ -223,8 +222,8 @@ void smoothMeasured(const PointCloud& cloud, IndexSpan stem, const SurfacePrior&
       index = at;
     }
     if (!region->is_smoothed) continue;
-    Eigen::Vector3f color = Eigen::Vector3f::Zero();
-    if (cloud.hasColors()) color = rgbOf(cloud.colors[stem.begin + i]) / kMostOfAColor;
+    FilterColor color;
+    if (cloud.hasColors()) color = filterColorOf(rgbOf(cloud.colors[stem.begin + i]));
     const SurfacePosition place{p.position.theta, p.position.s - regionBegin(prior, index)};
     const auto filtered = static_cast<float>(region->filter.at(place, color));
     smoothed[i] += (filtered - p.deviation - p.noise_bias) * p.outward;
@@ -382,16 +381,27 @@ void solveTogether(const std::vector<std::unique_ptr<StemInWork>>& stems,
     solvers[i].emplace(tasks[i].stem->model(), tasks[i].region->index);
   });
   std::vector<const RbfToRead*> surfaces;
-  std::vector<std::size_t> of_tasks(tasks.size());
+  std::vector<std::size_t> surface_of(tasks.size());
   for (std::size_t i = 0; i < tasks.size(); ++i) {
-    of_tasks[i] = surfaces.size();
+    surface_of[i] = surfaces.size();
     if (solvers[i]->surface() != nullptr) surfaces.push_back(solvers[i]->surface());
   }
   const std::vector<std::vector<double>> deviations = readSurfaces(surfaces, device);
   parallelFor(tasks.size(), [&](std::size_t i) {
     const bool has_surface = solvers[i]->surface() != nullptr;
+    solvers[i]->fill(has_surface ? deviations[surface_of[i]] : std::vector<double>());
+  });
+  std::vector<const FilterToSolve*> to_filter;
+  std::vector<std::size_t> filter_of(tasks.size());
+  for (std::size_t i = 0; i < tasks.size(); ++i) {
+    filter_of[i] = to_filter.size();
+    if (solvers[i]->filter() != nullptr) to_filter.push_back(solvers[i]->filter());
+  }
+  std::vector<BilateralFilter> filters = solveFilters(to_filter, device);
+  parallelFor(tasks.size(), [&](std::size_t i) {
+    const bool is_filtered = solvers[i]->filter() != nullptr;
     tasks[i].region->solved->region =
-        solvers[i]->finish(has_surface ? deviations[of_tasks[i]] : std::vector<double>());
+        solvers[i]->finish(is_filtered ? std::move(filters[filter_of[i]]) : BilateralFilter());
   });
 }
 

@@ -20,7 +20,6 @@ constexpr double kMapStep = 0.0151;  // [m] of the coarse map: fine against the 
 constexpr int kMapColumns = 12;
 constexpr double kSigmaNormal = 0.5;  // [-] of the difference of unit normals
 constexpr double kSigmaColor = 0.2;   // [-] of rgb in [0, 1]
-constexpr float kMostOfAColor = 255.0F;
 
 /// Surface, its uncertainty and its colour at the nodes of a coarse grid over one region, linear
 /// between them: all are smooth at the kernels' scale.
@@ -155,15 +154,23 @@ class RegionSolver::Work {
 
   const RbfToRead* surface() const { return surface_ ? &*surface_ : nullptr; }
 
-  StemRegion finish(const std::vector<double>& deviations) {
-    if (region_.no_surface) return std::move(region_);
+  void fill(const std::vector<double>& deviations) {
+    if (region_.no_surface) return;
     for (std::size_t i = 0; i < deviations.size(); ++i) {
       map_.nodes()[read_nodes_[i]].deviation = deviations[i];
     }
     setMisfit();
-    fill();
+    fillGaps();
     repair();
-    smooth();
+    prepareFilter();
+  }
+
+  const FilterToSolve* filter() const { return filter_ ? &*filter_ : nullptr; }
+
+  StemRegion finish(BilateralFilter filter) {
+    if (region_.no_surface) return std::move(region_);
+    region_.is_smoothed = filter_.has_value();
+    region_.filter = std::move(filter);
     makePoints();
     return std::move(region_);
   }
@@ -315,7 +322,7 @@ class RegionSolver::Work {
   }
 
   /// Step 3: where points are missing, and how many (Eq 22).
-  void fill() {
+  void fillGaps() {
     StemShape shape;
     shape.radius = [this](double s) { return model_.prior.meanRadiusAt(s); };
     shape.ellipse = model_.prior.ellipse();
@@ -377,28 +384,26 @@ class RegionSolver::Work {
   }
 
   /// Step 6, bilateral filter (Eq 25).
-  void smooth() {
+  void prepareFilter() {
     if (!(model_.smoothing > 0.0) || cells_.empty()) return;
     const MeasuredSurface& measured = model_.measured;
     const bool by_color = measured.hasColors();
-    std::vector<FilterPoint> points;
+    FilterToSolve& filter = filter_.emplace();
+    filter.points.reserve(cells_.size());
     for (const MeasuredSurface::Cell* cell : cells_) {
-      points.push_back({{cell->position.theta, cell->position.s - begin_},
-                        cell->deviation,
-                        cell->weight,
-                        by_color ? Eigen::Vector3f(cell->rgb / kMostOfAColor)
-                                 : Eigen::Vector3f(Eigen::Vector3f::Zero())});
+      filter.points.push_back({{cell->position.theta, cell->position.s - begin_},
+                               cell->deviation,
+                               cell->weight,
+                               by_color ? filterColorOf(cell->rgb) : FilterColor()});
     }
-    const FilterGrid grid{measured.rowHeight(),
-                          static_cast<int>(kSlicesPerRegion) * measured.rowsPerSlice(),
-                          measured.columns()};
-    if (!by_color) addFilled(grid, points);  // it has no colour of its own
-    FilterOptions options;
-    options.sigma_space = model_.smoothing;
-    options.attribute = by_color ? FilterAttribute::kColor : FilterAttribute::kNormal;
-    options.sigma_attribute = by_color ? kSigmaColor : kSigmaNormal;
-    region_.filter = BilateralFilter(points, grid, model_.prior.meanRadius(), options);
-    region_.is_smoothed = true;
+    filter.grid = {measured.rowHeight(),
+                   static_cast<int>(kSlicesPerRegion) * measured.rowsPerSlice(),
+                   measured.columns()};
+    filter.radius = model_.prior.meanRadius();
+    if (!by_color) addFilled(filter.grid, filter.points);  // it has no colour of its own
+    filter.options.sigma_space = model_.smoothing;
+    filter.options.attribute = by_color ? FilterAttribute::kColor : FilterAttribute::kNormal;
+    filter.options.sigma_attribute = by_color ? kSigmaColor : kSigmaNormal;
   }
 
   /// What was filled into each cell of the grid, as one point: it lies on a smooth surface.
@@ -473,6 +478,7 @@ class RegionSolver::Work {
   CoarseMap map_;
   std::vector<std::size_t> read_nodes_;  // of the map, where the surface is read
   std::optional<RbfToRead> surface_;
+  std::optional<FilterToSolve> filter_;
   std::vector<CompletedPoint> filled_;
   bool may_have_holes_ = false;
   StemRegion region_;
@@ -483,6 +489,11 @@ double ScatterModel::beyondNoise(double points, double squares) const {
   if (!(points > 1.0)) return 0.0;
   const double error = std::hypot(noise * std::sqrt(2.0 / points), noise_error);
   return std::max(squares / points - noise - kSignificant * error, 0.0);
+}
+
+FilterColor filterColorOf(const Eigen::Vector3f& rgb) {
+  constexpr float kMost = 255.0F;
+  return {rgb.x() / kMost, rgb.y() / kMost, rgb.z() / kMost};
 }
 
 long regionAt(const SurfacePrior& prior, double s) {
@@ -505,14 +516,24 @@ const RbfToRead* RegionSolver::surface() const {
   return work_->surface();
 }
 
-StemRegion RegionSolver::finish(const std::vector<double>& deviations) {
-  return work_->finish(deviations);
+void RegionSolver::fill(const std::vector<double>& deviations) {
+  work_->fill(deviations);
+}
+
+const FilterToSolve* RegionSolver::filter() const {
+  return work_->filter();
+}
+
+StemRegion RegionSolver::finish(BilateralFilter filter) {
+  return work_->finish(std::move(filter));
 }
 
 StemRegion solveRegion(const StemModel& model, long index) {
   RegionSolver solver(model, index);
-  return solver.finish(solver.surface() != nullptr ? readSurface(*solver.surface())
-                                                   : std::vector<double>());
+  const RbfToRead* surface = solver.surface();
+  solver.fill(surface != nullptr ? readSurface(*surface) : std::vector<double>());
+  const FilterToSolve* filter = solver.filter();
+  return solver.finish(filter != nullptr ? BilateralFilter(*filter) : BilateralFilter());
 }
 
 }  // namespace field_phenotyping

@@ -1,6 +1,6 @@
-// The fit of a stem's coarse model and the surfaces of its regions by teams of threads: the same
-// bits as by one, whatever the team; and what they are made of, beside the standard library and
-// Eigen.
+// The fit of a stem's coarse model, the surfaces and the filters of its regions by teams of
+// threads: the same bits as by one, whatever the team; and what they are made of, beside the
+// standard library and Eigen.
 
 #include <gtest/gtest.h>
 
@@ -16,6 +16,7 @@
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/common/team_envelope.hpp"
 #include "field_phenotyping/common/team_order.hpp"
+#include "field_phenotyping/completion/bilateral_filter.hpp"
 #include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/stem_frame.hpp"
 #include "field_phenotyping/completion/surface_prior_task.hpp"
@@ -400,6 +401,93 @@ TEST(RbfTeam, ManySurfacesAreReadAsOneIs) {
     for (std::size_t k = 0; k < values[i].size(); ++k) EXPECT_NE(values[i][k], 0.0);
   }
   EXPECT_TRUE(readSurfaces({}, {}).empty());
+}
+
+FilterToSolve noisyStretch(int count, double radius, FilterAttribute attribute) {
+  std::mt19937 random(17U);
+  std::uniform_real_distribution<double> uniform;
+  const auto share = [&] { return static_cast<float>(uniform(random)); };
+  FilterToSolve given;
+  given.grid = {0.0025, 20, std::max(3, static_cast<int>(6.3 * radius / 0.0025))};
+  given.radius = radius;
+  given.options.attribute = attribute;
+  for (int i = 0; i < count; ++i) {
+    FilterPoint point;
+    point.position = {6.2 * uniform(random) - 3.1, 0.09 * uniform(random) - 0.02};
+    point.deviation = 0.002 * uniform(random) - 0.001;
+    point.weight = 1.0 + i % 3;
+    point.color = {share(), share(), share()};
+    point.is_read = i % 4 != 0;
+    given.points.push_back(point);
+  }
+  return given;
+}
+
+TEST(FilterTeam, FilterIsThatOfOneThreadBitForBit) {
+  for (const FilterAttribute attribute : {FilterAttribute::kNormal, FilterAttribute::kColor}) {
+    for (const int count : {0, 3, 400}) {
+      const FilterToSolve given = noisyStretch(count, 0.012, attribute);
+      const std::vector<double> along{1.0, 0.7, 0.2};
+      const std::vector<double> around{1.0, 0.6, 0.3, 0.1};
+      const FilterTask task{given.points.data(),
+                            count,
+                            given.grid,
+                            along.data(),
+                            around.data(),
+                            2,
+                            3,
+                            attribute == FilterAttribute::kColor,
+                            12.5};
+      const auto sums = static_cast<std::size_t>(task.sums());
+      const auto nodes = static_cast<std::size_t>(given.grid.nodes());
+      // What the memory holds before does not matter.
+      const auto solveBy = [&](std::size_t groups, double rubbish, const auto& run) {
+        std::vector<double> weight(sums, rubbish), value(sums, rubbish);
+        std::vector<double> rows(groups * static_cast<std::size_t>(task.wideRow()), rubbish);
+        std::vector<FilterColor> color(sums, FilterColor{3.0F, 4.0F, 5.0F});
+        std::vector<unsigned char> is_read(sums, 7U);
+        std::vector<FilterNode> solved(nodes, FilterNode{8.0F, 9.0F});
+        std::vector<FilterColor> colors(nodes);
+        run([&](const auto& team) {
+          FilterSolver<std::decay_t<decltype(team)>>(
+              team, task, {weight.data(), value.data(), color.data(), is_read.data(), rows.data()})
+              .run(solved.data(), colors.data());
+        });
+        std::vector<float> numbers;
+        for (std::size_t i = 0; i < nodes; ++i) {
+          numbers.insert(numbers.end(), {solved[i].deviation, solved[i].weight, colors[i].r,
+                                         colors[i].g, colors[i].b});
+        }
+        return numbers;
+      };
+      const auto alone = solveBy(1U, 1.0, [](const auto& work) { work(SerialTeam()); });
+      for (const unsigned groups : {1U, 3U}) {
+        EXPECT_EQ(alone,
+                  solveBy(groups, -2.0, [&](const auto& work) { runEmulatedTeam(groups, work); }))
+            << count << " points, " << groups << " groups";
+      }
+      EXPECT_EQ(count > 0, std::any_of(alone.begin(), alone.end(), [](float v) { return v != 0; }));
+    }
+  }
+}
+
+TEST(FilterTeam, ManyFiltersAreThoseAlone) {
+  std::vector<FilterToSolve> given;
+  for (int i = 0; i < 5; ++i) {
+    given.push_back(noisyStretch(100 * i, 0.01 + 0.001 * i,
+                                 i % 2 == 0 ? FilterAttribute::kNormal : FilterAttribute::kColor));
+  }
+  std::vector<const FilterToSolve*> all;
+  for (const FilterToSolve& one : given) all.push_back(&one);
+  const std::vector<BilateralFilter> filters = solveFilters(all, {});
+  ASSERT_EQ(filters.size(), given.size());
+  for (std::size_t i = 0; i < given.size(); ++i) {
+    const BilateralFilter alone(given[i]);
+    for (const FilterPoint& point : given[i].points) {
+      EXPECT_EQ(filters[i].at(point.position, point.color), alone.at(point.position, point.color));
+    }
+  }
+  EXPECT_TRUE(solveFilters({}, {}).empty());
 }
 
 }  // namespace

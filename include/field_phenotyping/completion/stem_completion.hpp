@@ -55,8 +55,8 @@ std::vector<CompletedStem> completeStems(const PointCloud& cloud,
                                          const CompletionParameters& parameters,
                                          const ComputeDevice& device);
 
-/// The same, with the same bits, all stems step by step, so that the surfaces of all their regions
-/// are found at once: on the device, or where it has no GPU on all cores.
+/// The same, with the same bits, all stems step by step, so that the surfaces and filters of all
+/// their regions are found at once: on the device, or where it has no GPU on all cores.
 std::vector<CompletedStem> completeStemsTogether(const PointCloud& cloud,
                                                  const std::vector<StemToComplete>& stems,
                                                  const GroundModel& ground,

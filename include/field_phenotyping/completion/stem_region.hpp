@@ -48,6 +48,9 @@ struct StemModel {
   RbfOptions surface = {};
 };
 
+/// @param rgb 0 ... 255
+FilterColor filterColorOf(const Eigen::Vector3f& rgb);
+
 /// A solved piece of a stem.
 struct StemRegion {
   std::vector<Eigen::Vector3f> points;  ///< filled in, local frame [m]
@@ -68,7 +71,7 @@ double regionBegin(const SurfacePrior& prior, long index);  ///< arc length of t
 /// (Eq 25), and repair of defects (Eq 26). Reads the slices of the region and one beside each end.
 StemRegion solveRegion(const StemModel& model, long index);
 
-/// The same in two steps, between which the surfaces of many regions are read at once.
+/// The same in steps, between which the surfaces and filters of many regions are found at once.
 class RegionSolver {
  public:
   /// @param model must stay as long as this
@@ -80,7 +83,11 @@ class RegionSolver {
   /// The surface of Eq 19 to 21 and where it is to be read; null where it is nowhere.
   const RbfToRead* surface() const;
   /// @param deviations of these places, see readSurfaces(); none where there is no surface
-  StemRegion finish(const std::vector<double>& deviations);
+  void fill(const std::vector<double>& deviations);
+  /// The filter of Eq 25, once gaps are filled; null where nothing is to be smoothed.
+  const FilterToSolve* filter() const;
+  /// @param filter that, see solveFilters(); or none
+  StemRegion finish(BilateralFilter filter);
 
  private:
   class Work;
