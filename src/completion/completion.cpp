@@ -5,7 +5,6 @@
 #include <utility>
 #include <vector>
 
-#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/completion/stem_completion.hpp"
 
 namespace field_phenotyping {
@@ -40,11 +39,17 @@ CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
     }
     const std::vector<std::optional<SurfacePrior>> priors = fitSurfacePriors(to_model, device);
     // Steps 2 to 6.
-    parallelFor(owned.size(), [&](std::size_t k) {
+    std::vector<StemToComplete> to_complete;
+    for (std::size_t k = 0; k < owned.size(); ++k) {
       const Plant& plant = plants[owned[k]];
-      stems[owned[k]] = completeStem(segmented->cloud, plant.stem, priors[k], segmented->ground,
-                                     parameters, stateOf(previous, plant.id));
-    });
+      to_complete.push_back(
+          {plant.stem, priors[k] ? &*priors[k] : nullptr, stateOf(previous, plant.id)});
+    }
+    std::vector<CompletedStem> completed_stems =
+        completeStems(segmented->cloud, to_complete, segmented->ground, parameters, device);
+    for (std::size_t k = 0; k < owned.size(); ++k) {
+      stems[owned[k]] = std::move(completed_stems[k]);
+    }
   }
 
   // Step 5: measured and new points side by side (Eq 24).

@@ -1,41 +1,60 @@
 #include "field_phenotyping/completion/rbf_surface.hpp"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
+#include "common/gpu_streams.hpp"
+#include "completion/rbf_surface_gpu.hpp"
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/common/serial_team.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
-constexpr std::size_t kDensityNeighbors = 6;
-constexpr double kMinWeight = 0.25;
-constexpr double kMaxWeight = 4.0;
 constexpr double kMinSpacing = 1e-3;    // [m]
 constexpr double kMinAmplitude = 1e-4;  // [m] finer structure than any sensor here resolves
-constexpr double kCutoff = 14.0;        // exp(-14) is below one part in a million
-
-/// The kernel phi of Eq 19 as read, in its positive definite form.
-double kernel(double squared_distance, double kernel_width, double weight_a, double weight_b) {
-  const double mean_weight = 0.5 * (weight_a + weight_b);
-  const double overlap = std::sqrt(weight_a * weight_b) / mean_weight;
-  return overlap * std::sqrt(overlap) *
-         std::exp(-squared_distance / (kernel_width * kernel_width * mean_weight));
-}
-
-/// Area per centre, 1 / rho = pi r_k^2 / k [m^2].
-double areaPerCenter(const SurfaceIndex& index, const SurfacePosition& position) {
-  const auto nearest = index.nearest<kDensityNeighbors>(position);
-  if (nearest.count == 0) return 0.0;
-  return kPi * nearest.squared_distance[nearest.count - 1] / static_cast<double>(nearest.count);
-}
 
 /// What falls into one cell; the place relative to the cell's first.
 struct Cell {
   double turn_sum = 0.0, s_sum = 0.0, value_sum = 0.0, weight = 0.0;
 };
+
+/// As many surfaces from `first` on as the GPU works on at once, at least one: what it keeps of
+/// each is bounded, and so is what it keeps of them.
+std::vector<RbfReading> nextBatch(const std::vector<const RbfToRead*>& surfaces,
+                                  std::size_t first) {
+  constexpr std::size_t kAtOnce = 512U;
+  constexpr std::size_t kMostValues = std::size_t{8} << 20U;  // of their matrices
+  std::vector<RbfReading> batch;
+  std::size_t values = 0U;
+  for (std::size_t i = first; i < surfaces.size() && batch.size() < kAtOnce; ++i) {
+    const RbfSystem& system = surfaces[i]->system;
+    const std::size_t matrix = system.index().size() * (system.mostBand() + 1U);
+    values += matrix;
+    if (!batch.empty() && values > kMostValues) break;
+    const std::vector<Vector3>& places = surfaces[i]->places;
+    batch.push_back({system.task(), places.data(), places.size(), matrix});
+  }
+  return batch;
+}
+
+/// False where they are to be read on the CPU.
+bool readOnGpu(const std::vector<RbfReading>& batch, const ComputeDevice& device,
+               std::vector<double>* values) {
+  if constexpr (kWithCuda) {
+    return device.attempt([&](GpuStream& stream) {
+      const double* next = readSurfacesOnGpu(stream, batch);
+      for (std::size_t i = 0; i < batch.size(); ++i) {
+        values[i].assign(next, next + batch[i].place_count);
+        next += batch[i].place_count;
+      }
+    });
+  }
+  return false;
+}
 
 }  // namespace
 
@@ -84,8 +103,9 @@ double amplitudeOf(const std::vector<SurfaceSample>& centers, double noise) {
   return std::sqrt(std::max(mean, kMinAmplitude * kMinAmplitude));
 }
 
-RbfSurface::RbfSurface(const std::vector<SurfaceSample>& centers, double radius,
-                       const Options& options) {
+RbfSystem::RbfSystem(const std::vector<SurfaceSample>& centers, double radius,
+                     const RbfOptions& options)
+    : ridge_(options.ridge) {
   std::vector<SurfacePosition> positions;
   positions.reserve(centers.size());
   for (const SurfaceSample& center : centers) positions.push_back(center.position);
@@ -94,65 +114,78 @@ RbfSurface::RbfSurface(const std::vector<SurfaceSample>& centers, double radius,
 
   mean_area_ = options.center_area;
   if (!(mean_area_ > 0.0)) {
+    const SurfaceIndexView view = index_.view();
     std::vector<double> areas;
-    for (const SurfaceSample& center : centers) {
-      areas.push_back(areaPerCenter(index_, center.position));
+    for (std::size_t i = 0; i < view.count; ++i) {
+      areas.push_back(rbf::areaPerCenter(view, view.points[i]));
     }
     mean_area_ = std::max(medianOf(areas), kMinSpacing * kMinSpacing);
   }
-  const auto count = static_cast<Eigen::Index>(centers.size());
   kernel_width_ = options.kernel_scale * std::sqrt(mean_area_);
-  amplitude_ = options.amplitude > 0.0 ? options.amplitude : amplitudeOf(centers, options.noise);
-
-  Eigen::VectorXd w(count), values(count), noise(count);
-  for (Eigen::Index i = 0; i < count; ++i) {
-    const SurfaceSample& center = centers[static_cast<std::size_t>(i)];
-    w[i] = densityWeight(center.position);
-    values[i] = center.value;
-    noise[i] = options.noise * options.noise / (center.weight * amplitude_ * amplitude_);
+  const double amplitude =
+      options.amplitude > 0.0 ? options.amplitude : amplitudeOf(centers, options.noise);
+  values_.reserve(centers.size());
+  noise_.reserve(centers.size());
+  for (const std::uint32_t i : index_.order()) {
+    values_.push_back(centers[i].value);
+    noise_.push_back(options.noise * options.noise / (centers[i].weight * amplitude * amplitude));
   }
-  weights_.assign(w.data(), w.data() + count);
+}
 
-  Eigen::MatrixXd system(count, count);
-  for (Eigen::Index j = 0; j < count; ++j) {
-    for (Eigen::Index i = j; i < count; ++i) {
-      const double squared_distance = (index_.embed(positions[static_cast<std::size_t>(i)]) -
-                                       index_.embed(positions[static_cast<std::size_t>(j)]))
-                                          .squaredNorm();
-      system(i, j) = w[i] * w[j] * kernel(squared_distance, kernel_width_, w[i], w[j]);
+RbfTask RbfSystem::task() const {
+  return {index_.view(), values_.data(), noise_.data(), kernel_width_, mean_area_, ridge_};
+}
+
+std::size_t RbfSystem::mostBand() const {
+  const SurfaceIndexView view = index_.view();
+  const double reach = rbf::reachOf(kernel_width_, rbf::kMaxWeight, rbf::kNegligible);
+  std::size_t band = 0U;
+  std::size_t first = 0U;
+  for (std::size_t i = 0; i < view.count; ++i) {
+    while (view.points[first].z() < view.points[i].z() - reach) ++first;
+    band = std::max(band, i - first);
+  }
+  return band;
+}
+
+RbfSurface::RbfSurface(RbfSystem system)
+    : system_(std::move(system)),
+      weights_(system_.index().size()),
+      coefficients_(system_.index().size()) {
+  const RbfTask task = system_.task();
+  const SerialTeam team;
+  RbfSolver<SerialTeam> solver(team, task, weights_.data(), coefficients_.data());
+  int band = 0;
+  solver.prepare(&band);
+  std::vector<double> matrix(
+      static_cast<std::size_t>(Envelope::valuesOf(static_cast<int>(task.centers.count), band, 0)));
+  solver.solve(matrix.data(), band);
+}
+
+double RbfSurface::valueAt(const Vector3& place) const {
+  return rbf::valueAt(system_.task(), weights_.data(), coefficients_.data(), place);
+}
+
+std::vector<double> readSurface(const RbfToRead& given) {
+  const RbfSurface surface(given.system);
+  std::vector<double> values;
+  values.reserve(given.places.size());
+  for (const Vector3& place : given.places) values.push_back(surface.valueAt(place));
+  return values;
+}
+
+std::vector<std::vector<double>> readSurfaces(const std::vector<const RbfToRead*>& surfaces,
+                                              const ComputeDevice& device) {
+  std::vector<std::vector<double>> values(surfaces.size());
+  for (std::size_t first = 0; first < surfaces.size();) {
+    std::vector<RbfReading> batch = nextBatch(surfaces, first);
+    if (!readOnGpu(batch, device, &values[first])) {
+      parallelFor(batch.size(),
+                  [&](std::size_t i) { values[first + i] = readSurface(*surfaces[first + i]); });
     }
-    system(j, j) += w[j] * w[j] * noise[j];
+    first += batch.size();
   }
-  // Positive definite but for rounding, when centres coincide and the ridge is tiny.
-  constexpr double kRaise = 10.0;
-  constexpr double kMaxRidge = 1e3;
-  Eigen::LLT<Eigen::MatrixXd, Eigen::Lower> solver;
-  double ridge = 0.0;
-  for (double next = options.ridge; next < kMaxRidge; next *= kRaise) {
-    system.diagonal().array() += next - ridge;
-    ridge = next;
-    solver.compute(system);
-    if (solver.info() == Eigen::Success) break;
-  }
-  coefficients_.assign(centers.size(), 0.0);
-  if (solver.info() != Eigen::Success) return;
-  const Eigen::VectorXd lambda = solver.solve(w.cwiseProduct(values));
-  Eigen::Map<Eigen::VectorXd>(coefficients_.data(), count) = w.cwiseProduct(lambda);
-}
-
-double RbfSurface::densityWeight(const SurfacePosition& position) const {
-  return std::clamp(areaPerCenter(index_, position) / mean_area_, kMinWeight, kMaxWeight);
-}
-
-double RbfSurface::valueAt(const SurfacePosition& position) const {
-  if (index_.size() == 0) return 0.0;
-  const double weight = densityWeight(position);
-  const double reach = kernel_width_ * std::sqrt(kCutoff * 0.5 * (weight + kMaxWeight));
-  double value = 0.0;
-  index_.forEachWithin(position, reach, [&](std::uint32_t j, double squared_distance) {
-    value += coefficients_[j] * kernel(squared_distance, kernel_width_, weight, weights_[j]);
-  });
-  return value;
+  return values;
 }
 
 }  // namespace field_phenotyping

@@ -4,8 +4,11 @@
 #include <array>
 #include <cmath>
 #include <map>
+#include <memory>
+#include <optional>
 #include <utility>
 
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/completion/gap_sampling.hpp"
 #include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/sight_lines.hpp"
@@ -208,7 +211,6 @@ std::vector<double> settingsOf(const StemModel& model) {
 void smoothMeasured(const PointCloud& cloud, IndexSpan stem, const SurfacePrior& prior,
                     const MeasuredSurface& measured, const StemState& state,
                     std::vector<Eigen::Vector3f>& smoothed) {
-  constexpr float kMostOfAColor = 255.0F;
   long index = 0;
   const StemRegion* region = nullptr;
   for (std::size_t i = 0; i < measured.points().size(); ++i) {
@@ -220,12 +222,187 @@ void smoothMeasured(const PointCloud& cloud, IndexSpan stem, const SurfacePrior&
       index = at;
     }
     if (!region->is_smoothed) continue;
-    Eigen::Vector3f color = Eigen::Vector3f::Zero();
-    if (cloud.hasColors()) color = rgbOf(cloud.colors[stem.begin + i]) / kMostOfAColor;
+    FilterColor color;
+    if (cloud.hasColors()) color = filterColorOf(rgbOf(cloud.colors[stem.begin + i]));
     const SurfacePosition place{p.position.theta, p.position.s - regionBegin(prior, index)};
     const auto filtered = static_cast<float>(region->filter.at(place, color));
     smoothed[i] += (filtered - p.deviation - p.noise_bias) * p.outward;
   }
+}
+
+/// A stem while its regions are solved.
+class StemInWork {
+ public:
+  /// @param cloud, ground, and what `to_complete` points to, must stay as long as this
+  StemInWork(const PointCloud& cloud, const StemToComplete& to_complete, const GroundModel& ground,
+             const CompletionParameters& parameters)
+      : cloud_(cloud), stem_(to_complete.stem) {
+    completed_.solution.smoothed.assign(cloud.points.begin() + stem_.begin,
+                                        cloud.points.begin() + stem_.end);
+    const auto min_points = static_cast<std::size_t>(parameters.min_points);
+    if (stem_.size() < min_points) {
+      completed_.solution.flags = kCompletionTooFewPoints;
+      return;
+    }
+    completed_.solution.flags = kCompletionNoSurface;
+    if (to_complete.prior == nullptr) return;
+    const SurfacePrior& prior = *to_complete.prior;
+    measured_.emplace(cloud, stem_, prior, cellOf(prior, parameters));
+    if (measured_->size() < min_points) return;
+    completed_.solution.flags = 0U;
+    const double seen = measured_->highest() - measured_->lowest();
+    if (static_cast<double>(measured_->size()) < kMinPointsPerMetre * seen) {
+      completed_.solution.flags = kCompletionTooFewPoints;
+      return;
+    }
+    describe(StemModel{prior, *measured_, ground}, parameters, to_complete.previous);
+    listRegions(to_complete.previous);
+  }
+  StemInWork(const StemInWork&) = delete;
+  StemInWork& operator=(const StemInWork&) = delete;
+
+  /// A region that is to be solved anew.
+  struct OpenRegion {
+    long index;
+    std::shared_ptr<SolvedRegion> solved;
+  };
+  const std::vector<OpenRegion>& open() const { return open_; }
+  /// Of those.
+  const StemModel& model() const { return *model_; }
+
+  /// Once all open regions are solved.
+  CompletedStem finish() {
+    if (!model_) return std::move(completed_);
+    for (const auto& [index, solved] : state_->regions) {
+      const StemRegion& region = solved->region;
+      completed_.points.insert(completed_.points.end(), region.points.begin(), region.points.end());
+      completed_.colors.insert(completed_.colors.end(), region.colors.begin(), region.colors.end());
+      completed_.stddev.insert(completed_.stddev.end(), region.stddev.begin(), region.stddev.end());
+      if (region.uncertain > 0U) completed_.solution.flags |= kCompletionUncertain;
+      if (region.no_surface) completed_.solution.flags |= kCompletionNoSurface;
+    }
+    smoothMeasured(cloud_, stem_, model_->prior, *measured_, *state_, completed_.solution.smoothed);
+    completed_.solution.state = state_;
+    return std::move(completed_);
+  }
+
+ private:
+  void describe(StemModel model, const CompletionParameters& parameters,
+                const StemState* previous) {
+    const SurfacePrior& prior = model.prior;
+    const MeasuredSurface& measured = model.measured;
+    model.prior_weight = parameters.prior_weight;
+    model.range = findFillRange(measured.rowEnds(), parameters.max_gap);
+    model.range.begin = lowerEnd(prior, model.ground, model.range.begin, parameters.max_gap);
+    if (!model.range.open.empty()) completed_.solution.flags |= kCompletionOpenGap;
+    for (const auto& stretch : seenEmpty(cloud_, stem_, prior, measured, model.range.begin)) {
+      model.range.open.push_back(stretch);
+      completed_.solution.flags |= kCompletionSeenEmpty;
+    }
+    model.density = densityOf(measured, prior, model.range.end - model.range.begin, parameters);
+    completed_.density = model.density;
+    model.smoothing = parameters.smoothing * levelled(prior.meanRadius());
+    model.max_stddev = parameters.max_stddev;
+    model.lattice = latticeOf(prior, parameters.max_centers);
+    model.surface.kernel_scale = parameters.kernel_scale;
+    model.surface.ridge = parameters.ridge;
+    model.surface.noise = parameters.prior_weight * levelled(prior.noise());
+    model.surface.amplitude = levelled(
+        amplitudeOf(thinSamples(surfaceSamples(measured, parameters.prior_weight), model.lattice),
+                    parameters.prior_weight * prior.noise()));
+    const double amplitude =
+        model.surface.amplitude / std::max(parameters.prior_weight, kLeastPriorWeight);
+    model.scatter = {measured.noiseVariance(), measured.noiseVarianceError(), 0.0};
+    model.scatter.misfit =
+        std::max(model.scatter.beyondNoise(measured.whole().points, measured.whole().squares) -
+                     amplitude * amplitude,
+                 0.0);
+    if (previous != nullptr && isAbout(previous->scatter, model.scatter)) {
+      model.scatter = previous->scatter;
+    }
+    model.surface.center_area =
+        model.lattice.row_height * kTwoPi * levelled(prior.meanRadius()) / model.lattice.columns;
+    model_.emplace(std::move(model));
+  }
+
+  void listRegions(const StemState* previous) {
+    const SurfacePrior& prior = model_->prior;
+    state_ = std::make_shared<StemState>();
+    state_->origin = cloud_.origin;
+    state_->settings = settingsOf(*model_);
+    state_->ellipse = prior.ellipse();
+    state_->scatter = model_->scatter;
+    const bool may_take_over = previous != nullptr && previous->origin == cloud_.origin &&
+                               previous->settings == state_->settings &&
+                               std::hypot(previous->ellipse[0] - state_->ellipse[0],
+                                          previous->ellipse[1] - state_->ellipse[1]) *
+                                       prior.meanRadius() <
+                                   kSameModel;
+    const double low = std::min(model_->range.begin, measured_->lowest());
+    const double high = std::max(model_->range.end, measured_->highest());
+    for (long k = regionAt(prior, low); k <= regionAt(prior, high); ++k) {
+      auto solved = std::make_shared<SolvedRegion>(describeRegion(*model_, k));
+      ++completed_.solution.regions;
+      const auto old = may_take_over ? previous->regions.find(k) : state_->regions.end();
+      if (may_take_over && old != previous->regions.end() && isSame(*old->second, *solved)) {
+        state_->regions.emplace(k, old->second);
+        continue;
+      }
+      ++completed_.solution.regions_solved;
+      state_->regions.emplace(k, solved);
+      open_.push_back({k, std::move(solved)});
+    }
+  }
+
+  const PointCloud& cloud_;
+  IndexSpan stem_;
+  std::optional<MeasuredSurface> measured_;
+  std::optional<StemModel> model_;
+  std::shared_ptr<StemState> state_;
+  std::vector<OpenRegion> open_;
+  CompletedStem completed_;
+};
+
+/// Solves open regions of many stems together.
+void solveTogether(const std::vector<std::unique_ptr<StemInWork>>& stems,
+                   const ComputeDevice& device) {
+  struct Task {
+    const StemInWork* stem;
+    const StemInWork::OpenRegion* region;
+  };
+  std::vector<Task> tasks;
+  for (const std::unique_ptr<StemInWork>& stem : stems) {
+    for (const StemInWork::OpenRegion& region : stem->open()) {
+      tasks.push_back({stem.get(), &region});
+    }
+  }
+  std::vector<std::optional<RegionSolver>> solvers(tasks.size());
+  parallelFor(tasks.size(), [&](std::size_t i) {
+    solvers[i].emplace(tasks[i].stem->model(), tasks[i].region->index);
+  });
+  std::vector<const RbfToRead*> surfaces;
+  std::vector<std::size_t> surface_of(tasks.size());
+  for (std::size_t i = 0; i < tasks.size(); ++i) {
+    surface_of[i] = surfaces.size();
+    if (solvers[i]->surface() != nullptr) surfaces.push_back(solvers[i]->surface());
+  }
+  const std::vector<std::vector<double>> deviations = readSurfaces(surfaces, device);
+  parallelFor(tasks.size(), [&](std::size_t i) {
+    const bool has_surface = solvers[i]->surface() != nullptr;
+    solvers[i]->fill(has_surface ? deviations[surface_of[i]] : std::vector<double>());
+  });
+  std::vector<const FilterToSolve*> to_filter;
+  std::vector<std::size_t> filter_of(tasks.size());
+  for (std::size_t i = 0; i < tasks.size(); ++i) {
+    filter_of[i] = to_filter.size();
+    if (solvers[i]->filter() != nullptr) to_filter.push_back(solvers[i]->filter());
+  }
+  std::vector<BilateralFilter> filters = solveFilters(to_filter, device);
+  parallelFor(tasks.size(), [&](std::size_t i) {
+    const bool is_filtered = solvers[i]->filter() != nullptr;
+    tasks[i].region->solved->region =
+        solvers[i]->finish(is_filtered ? std::move(filters[filter_of[i]]) : BilateralFilter());
+  });
 }
 
 }  // namespace
@@ -245,98 +422,39 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
                            const GroundModel& ground, const CompletionParameters& parameters,
                            const StemState* previous) {
   const auto priors = fitSurfacePriors({stemToModel(cloud, stem, axis, parameters)}, {});
-  return completeStem(cloud, stem, priors.front(), ground, parameters, previous);
+  const StemToComplete to_complete{stem, priors.front() ? &*priors.front() : nullptr, previous};
+  return std::move(completeStems(cloud, {to_complete}, ground, parameters, {}).front());
 }
 
-CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem,
-                           const std::optional<SurfacePrior>& prior, const GroundModel& ground,
-                           const CompletionParameters& parameters, const StemState* previous) {
-  CompletedStem completed;
-  completed.solution.smoothed.assign(cloud.points.begin() + stem.begin,
-                                     cloud.points.begin() + stem.end);
-  const auto min_points = static_cast<std::size_t>(parameters.min_points);
-  if (stem.size() < min_points) {
-    completed.solution.flags = kCompletionTooFewPoints;
-    return completed;
-  }
-  completed.solution.flags = kCompletionNoSurface;
-  if (!prior) return completed;
-  const MeasuredSurface measured(cloud, stem, *prior, cellOf(*prior, parameters));
-  if (measured.size() < min_points) return completed;
-  completed.solution.flags = 0U;
-  const double seen = measured.highest() - measured.lowest();
-  if (static_cast<double>(measured.size()) < kMinPointsPerMetre * seen) {
-    completed.solution.flags = kCompletionTooFewPoints;
-    return completed;
-  }
-
-  StemModel model{*prior, measured, ground};
-  model.prior_weight = parameters.prior_weight;
-  model.range = findFillRange(measured.rowEnds(), parameters.max_gap);
-  model.range.begin = lowerEnd(*prior, ground, model.range.begin, parameters.max_gap);
-  if (!model.range.open.empty()) completed.solution.flags |= kCompletionOpenGap;
-  for (const auto& stretch : seenEmpty(cloud, stem, *prior, measured, model.range.begin)) {
-    model.range.open.push_back(stretch);
-    completed.solution.flags |= kCompletionSeenEmpty;
-  }
-  model.density = densityOf(measured, *prior, model.range.end - model.range.begin, parameters);
-  completed.density = model.density;
-  model.smoothing = parameters.smoothing * levelled(prior->meanRadius());
-  model.max_stddev = parameters.max_stddev;
-  model.lattice = latticeOf(*prior, parameters.max_centers);
-  model.surface.kernel_scale = parameters.kernel_scale;
-  model.surface.ridge = parameters.ridge;
-  model.surface.noise = parameters.prior_weight * levelled(prior->noise());
-  model.surface.amplitude = levelled(
-      amplitudeOf(thinSamples(surfaceSamples(measured, parameters.prior_weight), model.lattice),
-                  parameters.prior_weight * prior->noise()));
-  const double amplitude =
-      model.surface.amplitude / std::max(parameters.prior_weight, kLeastPriorWeight);
-  model.scatter = {measured.noiseVariance(), measured.noiseVarianceError(), 0.0};
-  model.scatter.misfit =
-      std::max(model.scatter.beyondNoise(measured.whole().points, measured.whole().squares) -
-                   amplitude * amplitude,
-               0.0);
-  if (previous != nullptr && isAbout(previous->scatter, model.scatter)) {
-    model.scatter = previous->scatter;
-  }
-  model.surface.center_area =
-      model.lattice.row_height * kTwoPi * levelled(prior->meanRadius()) / model.lattice.columns;
-
-  // Steps 2 to 6, region by region.
-  const auto state = std::make_shared<StemState>();
-  state->origin = cloud.origin;
-  state->settings = settingsOf(model);
-  state->ellipse = prior->ellipse();
-  state->scatter = model.scatter;
-  const bool may_take_over = previous != nullptr && previous->origin == cloud.origin &&
-                             previous->settings == state->settings &&
-                             std::hypot(previous->ellipse[0] - state->ellipse[0],
-                                        previous->ellipse[1] - state->ellipse[1]) *
-                                     prior->meanRadius() <
-                                 kSameModel;
-  const double low = std::min(model.range.begin, measured.lowest());
-  const double high = std::max(model.range.end, measured.highest());
-  for (long k = regionAt(*prior, low); k <= regionAt(*prior, high); ++k) {
-    auto solved = std::make_shared<SolvedRegion>(describeRegion(model, k));
-    ++completed.solution.regions;
-    const auto old = may_take_over ? previous->regions.find(k) : state->regions.end();
-    if (may_take_over && old != previous->regions.end() && isSame(*old->second, *solved)) {
-      state->regions.emplace(k, old->second);
-    } else {
-      solved->region = solveRegion(model, k);
-      ++completed.solution.regions_solved;
-      state->regions.emplace(k, std::move(solved));
+std::vector<CompletedStem> completeStems(const PointCloud& cloud,
+                                         const std::vector<StemToComplete>& stems,
+                                         const GroundModel& ground,
+                                         const CompletionParameters& parameters,
+                                         const ComputeDevice& device) {
+  if (device.hasGpu()) return completeStemsTogether(cloud, stems, ground, parameters, device);
+  std::vector<CompletedStem> completed(stems.size());
+  parallelFor(stems.size(), [&](std::size_t i) {
+    StemInWork stem(cloud, stems[i], ground, parameters);
+    for (const StemInWork::OpenRegion& region : stem.open()) {
+      region.solved->region = solveRegion(stem.model(), region.index);
     }
-    const StemRegion& region = state->regions.at(k)->region;
-    completed.points.insert(completed.points.end(), region.points.begin(), region.points.end());
-    completed.colors.insert(completed.colors.end(), region.colors.begin(), region.colors.end());
-    completed.stddev.insert(completed.stddev.end(), region.stddev.begin(), region.stddev.end());
-    if (region.uncertain > 0U) completed.solution.flags |= kCompletionUncertain;
-    if (region.no_surface) completed.solution.flags |= kCompletionNoSurface;
-  }
-  smoothMeasured(cloud, stem, *prior, measured, *state, completed.solution.smoothed);
-  completed.solution.state = state;
+    completed[i] = stem.finish();
+  });
+  return completed;
+}
+
+std::vector<CompletedStem> completeStemsTogether(const PointCloud& cloud,
+                                                 const std::vector<StemToComplete>& stems,
+                                                 const GroundModel& ground,
+                                                 const CompletionParameters& parameters,
+                                                 const ComputeDevice& device) {
+  std::vector<std::unique_ptr<StemInWork>> in_work(stems.size());
+  parallelFor(stems.size(), [&](std::size_t i) {
+    in_work[i] = std::make_unique<StemInWork>(cloud, stems[i], ground, parameters);
+  });
+  solveTogether(in_work, device);
+  std::vector<CompletedStem> completed(stems.size());
+  parallelFor(stems.size(), [&](std::size_t i) { completed[i] = in_work[i]->finish(); });
   return completed;
 }
 

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <optional>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
@@ -19,7 +20,6 @@ constexpr double kMapStep = 0.0151;  // [m] of the coarse map: fine against the 
 constexpr int kMapColumns = 12;
 constexpr double kSigmaNormal = 0.5;  // [-] of the difference of unit normals
 constexpr double kSigmaColor = 0.2;   // [-] of rgb in [0, 1]
-constexpr float kMostOfAColor = 255.0F;
 
 /// Surface, its uncertainty and its colour at the nodes of a coarse grid over one region, linear
 /// between them: all are smooth at the kernels' scale.
@@ -32,19 +32,18 @@ class CoarseMap {
     Eigen::Vector3f rgb = Eigen::Vector3f::Zero();
   };
 
-  template <class NodeAt>
-  CoarseMap(double begin, double end, bool has_colors, const NodeAt& nodeAt)
+  CoarseMap(double begin, double end, bool has_colors)
       : has_colors_(has_colors),
         begin_(begin),
         rows_(std::max(1, static_cast<int>(std::ceil((end - begin) / kMapStep)))),
-        step_((end - begin) / rows_) {
-    nodes_.reserve(static_cast<std::size_t>((rows_ + 1) * kMapColumns));
-    for (int row = 0; row <= rows_; ++row) {
-      for (int column = 0; column < kMapColumns; ++column) {
-        nodes_.push_back(
-            nodeAt(SurfacePosition{2.0 * kPi * column / kMapColumns - kPi, begin_ + row * step_}));
-      }
-    }
+        step_((end - begin) / rows_),
+        nodes_(static_cast<std::size_t>((rows_ + 1) * kMapColumns)) {}
+
+  std::vector<Node>& nodes() { return nodes_; }
+  SurfacePosition placeOf(std::size_t node) const {
+    const auto column = static_cast<double>(node % kMapColumns);
+    const auto row = static_cast<double>(node / kMapColumns);
+    return {2.0 * kPi * column / kMapColumns - kPi, begin_ + row * step_};
   }
 
   /// The nodes interpolated at one arc length: places come row by row.
@@ -79,16 +78,6 @@ class CoarseMap {
     return row;
   }
 
-  /// Sets the misfit of each node to misfitAt(its place).
-  template <class MisfitAt>
-  void setMisfit(const MisfitAt& misfitAt) {
-    for (std::size_t i = 0; i < nodes_.size(); ++i) {
-      const auto column = static_cast<double>(i % kMapColumns);
-      const auto row = static_cast<double>(i / kMapColumns);
-      nodes_[i].misfit = misfitAt({2.0 * kPi * column / kMapColumns - kPi, begin_ + row * step_});
-    }
-  }
-
   Node at(const SurfacePosition& place) const { return rowAt(place.s).at(place.theta); }
 
  private:
@@ -110,7 +99,7 @@ class CoarseMap {
 
 /// Eq 23: mean of the nearest measured colours, weighted by inverse distance.
 Eigen::Vector3f blendColors(const std::vector<const MeasuredSurface::Cell*>& cells,
-                            const SurfaceIndex::Nearest<kColorNeighbors>& nearest) {
+                            const NearestOnSurface<kColorNeighbors>& nearest) {
   constexpr double kTouching = 1e-6;  // [m^2]
   double total = 0.0;
   Eigen::Vector3f sum = Eigen::Vector3f::Zero();
@@ -148,29 +137,41 @@ class TurnTable {
   std::array<std::pair<double, double>, kEntries> entries_;
 };
 
-class RegionSolver {
+}  // namespace
+
+class RegionSolver::Work {
  public:
-  RegionSolver(const StemModel& model, long index)
+  Work(const StemModel& model, long index)
       : model_(model),
         begin_(regionBegin(model.prior, index)),
         end_(begin_ + kRegionLength),
-        index_(index) {}
-
-  StemRegion solve() {
+        index_(index),
+        map_(begin_, end_, model.measured.hasColors()) {
     gather();
-    if (!isOneSurface()) {
-      region_.no_surface = true;
-      return std::move(region_);
+    region_.no_surface = !isOneSurface();
+    if (!region_.no_surface) describe();
+  }
+
+  const RbfToRead* surface() const { return surface_ ? &*surface_ : nullptr; }
+
+  void fill(const std::vector<double>& deviations) {
+    if (region_.no_surface) return;
+    for (std::size_t i = 0; i < deviations.size(); ++i) {
+      map_.nodes()[read_nodes_[i]].deviation = deviations[i];
     }
-    const RbfSurface surface(thinSamples(samples_, model_.lattice), model_.prior.meanRadius(),
-                             model_.surface);
-    CoarseMap map(begin_, end_, model_.measured.hasColors(),
-                  [&](const SurfacePosition& place) { return describe(surface, place); });
-    setMisfit(map);
-    fill(map);
-    repair(map);
-    smooth(map);
-    finish(map);
+    setMisfit();
+    fillGaps();
+    repair();
+    prepareFilter();
+  }
+
+  const FilterToSolve* filter() const { return filter_ ? &*filter_ : nullptr; }
+
+  StemRegion finish(BilateralFilter filter) {
+    if (region_.no_surface) return std::move(region_);
+    region_.is_smoothed = filter_.has_value();
+    region_.filter = std::move(filter);
+    makePoints();
     return std::move(region_);
   }
 
@@ -216,34 +217,45 @@ class RegionSolver {
            static_cast<double>(on_surface) >= kLeastShare * static_cast<double>(all);
   }
 
-  /// The variance is that of the prior, and of the deviation from it, of which less is known the
-  /// farther the nearest measured point is.
-  CoarseMap::Node describe(const RbfSurface& surface, const SurfacePosition& place) const {
-    CoarseMap::Node node;
-    const double width = surface.kernelWidth();
-    const auto nearest = index_of_cells_.nearestWithin<1>(place, 2.0 * width);
-    if (nearest.count > 0) node.deviation = surface.valueAt(place);
-    const double known =
-        nearest.count > 0 ? std::exp(-2.0 * nearest.squared_distance[0] / (width * width)) : 0.0;
+  /// All of the map but the deviation, and where that is to be read. The variance is that of the
+  /// prior, and of the deviation from it, of which less is known the farther the nearest measured
+  /// point is.
+  void describe() {
+    RbfSystem system(thinSamples(samples_, model_.lattice), model_.prior.meanRadius(),
+                     model_.surface);
+    const double width = system.kernelWidth();
     const double amplitude = model_.surface.amplitude;
-    const double bias = model_.prior.noiseBias(place.s);
+    const double weight = std::max(model_.prior_weight, kLeastPriorWeight);
     // Of what deviates from the prior Eq 20 leaves out a share wherever it was measured, and all of
     // it is unknown where nothing was.
-    const double weight = std::max(model_.prior_weight, kLeastPriorWeight);
     const double left_out = (1.0 - model_.prior_weight) / weight;
-    const double unknown = known * left_out * left_out + (1.0 - known) / (weight * weight);
-    node.variance = model_.prior.variance(place.theta, place.s) + amplitude * amplitude * unknown +
-                    0.25 * bias * bias;
-    if (model_.measured.hasColors()) {
-      node.rgb = blendColors(cells_, index_of_cells_.nearest<kColorNeighbors>(place));
+    std::vector<Vector3> places;
+    for (std::size_t i = 0; i < map_.nodes().size(); ++i) {
+      CoarseMap::Node& node = map_.nodes()[i];
+      const SurfacePosition position = map_.placeOf(i);
+      const Vector3 place = index_of_cells_.embed(position);
+      const auto nearest = index_of_cells_.nearestWithin<1>(place, 2.0 * width);
+      double known = 0.0;
+      if (nearest.count > 0) {
+        known = std::exp(-2.0 * nearest.squared_distance[0] / (width * width));
+        read_nodes_.push_back(i);
+        places.push_back(place);
+      }
+      const double bias = model_.prior.noiseBias(position.s);
+      const double unknown = known * left_out * left_out + (1.0 - known) / (weight * weight);
+      node.variance = model_.prior.variance(position.theta, position.s) +
+                      amplitude * amplitude * unknown + 0.25 * bias * bias;
+      if (model_.measured.hasColors()) {
+        node.rgb = blendColors(cells_, index_of_cells_.nearest<kColorNeighbors>(place));
+      }
     }
-    return node;
+    if (!places.empty()) surface_.emplace(RbfToRead{std::move(system), std::move(places)});
   }
 
   /// What the points, leaf bases among them, scatter about the surface beyond the sensor's noise:
   /// of each patch and those round it, and of the stem as much as a few points have. And what that
   /// does to the coarse model.
-  void setMisfit(CoarseMap& map) const {
+  void setMisfit() {
     constexpr int kRows = MeasuredSurface::kPatchRows * static_cast<int>(kSlicesPerRegion);
     constexpr int kColumns = MeasuredSurface::kPatchColumns;
     constexpr double kOfStem = 10.0;  // points
@@ -252,7 +264,7 @@ class RegionSolver {
     const double weight = std::max(model_.prior_weight, kLeastPriorWeight);
     std::array<MeasuredSurface::Patch, (kRows + 2) * kColumns> patches;
     for (int row = -1; row <= kRows; ++row) {
-      const CoarseMap::Row surface = map.rowAt(begin_ + (row + 0.5) * kHeight);
+      const CoarseMap::Row surface = map_.rowAt(begin_ + (row + 0.5) * kHeight);
       for (int column = 0; column < kColumns; ++column) {
         MeasuredSurface::Patch patch = measured.patch(kSlicesPerRegion * index_, row, column);
         const double deviation =
@@ -280,13 +292,15 @@ class RegionSolver {
             (points + kOfStem);
       }
     }
-    map.setMisfit([&](const SurfacePosition& place) {
+    for (std::size_t i = 0; i < map_.nodes().size(); ++i) {
+      const SurfacePosition place = map_.placeOf(i);
       const auto row = static_cast<int>((place.s - begin_) / kHeight);
       const auto column = static_cast<int>((place.theta + kPi) / (2.0 * kPi) * kColumns);
-      return model_.prior.misfitVariance(place.theta, place.s) +
-             misfit[static_cast<std::size_t>(std::clamp(row, 0, kRows - 1) * kColumns +
-                                             std::clamp(column, 0, kColumns - 1))];
-    });
+      map_.nodes()[i].misfit =
+          model_.prior.misfitVariance(place.theta, place.s) +
+          misfit[static_cast<std::size_t>(std::clamp(row, 0, kRows - 1) * kColumns +
+                                          std::clamp(column, 0, kColumns - 1))];
+    }
   }
 
   FillRange range() const {
@@ -308,7 +322,7 @@ class RegionSolver {
   }
 
   /// Step 3: where points are missing, and how many (Eq 22).
-  void fill(const CoarseMap& map) {
+  void fillGaps() {
     StemShape shape;
     shape.radius = [this](double s) { return model_.prior.meanRadiusAt(s); };
     shape.ellipse = model_.prior.ellipse();
@@ -328,7 +342,7 @@ class RegionSolver {
       if (!mayFill(place.s)) continue;
       if (place.s != row_s) {
         row_s = place.s;
-        row = map.rowAt(row_s);
+        row = map_.rowAt(row_s);
       }
       const CoarseMap::Node node = row.at(place.theta);
       if (isKnown(node)) {
@@ -340,7 +354,7 @@ class RegionSolver {
   }
 
   /// Step 6, topological repair. What was left open on purpose is no defect.
-  void repair(const CoarseMap& map) {
+  void repair() {
     if (filled_.empty()) return;
     const double most_deviation = 4.0 * (model_.surface.amplitude + model_.surface.noise);
     const bool has_folds = std::any_of(filled_.begin(), filled_.end(), [&](const auto& point) {
@@ -359,7 +373,7 @@ class RegionSolver {
     for (const GapRegion& defect : defects) {
       for (CompletedPoint& point :
            repairDefect(defect, all, model_.density, model_.prior.meanRadius(), model_.surface)) {
-        const CoarseMap::Node node = map.at(point.position);
+        const CoarseMap::Node node = map_.at(point.position);
         if (!mayFill(point.position.s) || !isKnown(node)) continue;
         if (!(std::abs(point.deviation) <= most_deviation)) continue;
         point.variance = node.variance + node.misfit;
@@ -370,33 +384,30 @@ class RegionSolver {
   }
 
   /// Step 6, bilateral filter (Eq 25).
-  void smooth(const CoarseMap& map) {
+  void prepareFilter() {
     if (!(model_.smoothing > 0.0) || cells_.empty()) return;
     const MeasuredSurface& measured = model_.measured;
     const bool by_color = measured.hasColors();
-    std::vector<FilterPoint> points;
+    FilterToSolve& filter = filter_.emplace();
+    filter.points.reserve(cells_.size());
     for (const MeasuredSurface::Cell* cell : cells_) {
-      points.push_back({{cell->position.theta, cell->position.s - begin_},
-                        cell->deviation,
-                        cell->weight,
-                        by_color ? Eigen::Vector3f(cell->rgb / kMostOfAColor)
-                                 : Eigen::Vector3f(Eigen::Vector3f::Zero())});
+      filter.points.push_back({{cell->position.theta, cell->position.s - begin_},
+                               cell->deviation,
+                               cell->weight,
+                               by_color ? filterColorOf(cell->rgb) : FilterColor()});
     }
-    const FilterGrid grid{measured.rowHeight(),
-                          static_cast<int>(kSlicesPerRegion) * measured.rowsPerSlice(),
-                          measured.columns()};
-    if (!by_color) addFilled(map, grid, points);  // it has no colour of its own
-    FilterOptions options;
-    options.sigma_space = model_.smoothing;
-    options.attribute = by_color ? FilterAttribute::kColor : FilterAttribute::kNormal;
-    options.sigma_attribute = by_color ? kSigmaColor : kSigmaNormal;
-    region_.filter = BilateralFilter(points, grid, model_.prior.meanRadius(), options);
-    region_.is_smoothed = true;
+    filter.grid = {measured.rowHeight(),
+                   static_cast<int>(kSlicesPerRegion) * measured.rowsPerSlice(),
+                   measured.columns()};
+    filter.radius = model_.prior.meanRadius();
+    if (!by_color) addFilled(filter.grid, filter.points);  // it has no colour of its own
+    filter.options.sigma_space = model_.smoothing;
+    filter.options.attribute = by_color ? FilterAttribute::kColor : FilterAttribute::kNormal;
+    filter.options.sigma_attribute = by_color ? kSigmaColor : kSigmaNormal;
   }
 
   /// What was filled into each cell of the grid, as one point: it lies on a smooth surface.
-  void addFilled(const CoarseMap& map, const FilterGrid& grid,
-                 std::vector<FilterPoint>& points) const {
+  void addFilled(const FilterGrid& grid, std::vector<FilterPoint>& points) const {
     const double turn_a_column = 2.0 * kPi / grid.columns;
     std::vector<double> counts(static_cast<std::size_t>(grid.rows * grid.columns), 0.0);
     for (const CompletedPoint& point : filled_) {
@@ -408,7 +419,7 @@ class RegionSolver {
     }
     for (int row = 0; row < grid.rows; ++row) {
       const double s = (row + 0.5) * grid.row_height;
-      const CoarseMap::Row deviations = map.rowAt(begin_ + s);
+      const CoarseMap::Row deviations = map_.rowAt(begin_ + s);
       for (int column = 0; column < grid.columns; ++column) {
         const double count = counts[static_cast<std::size_t>(row * grid.columns + column)];
         if (!(count > 0.0)) continue;
@@ -423,7 +434,7 @@ class RegionSolver {
     }
   }
 
-  void finish(const CoarseMap& map) {
+  void makePoints() {
     static const TurnTable kTurn;
     const std::array<double, 2> ellipse = model_.prior.ellipse();
     region_.points.reserve(filled_.size());
@@ -451,7 +462,7 @@ class RegionSolver {
       if (near_soil && model_.ground.heightAbove(position) < 0.0F) continue;
       region_.points.push_back(position);
       region_.stddev.push_back(std::sqrt(static_cast<float>(point.variance)));
-      if (model_.measured.hasColors()) region_.colors.push_back(packed(map.at(place).rgb));
+      if (model_.measured.hasColors()) region_.colors.push_back(packed(map_.at(place).rgb));
     }
   }
 
@@ -464,18 +475,25 @@ class RegionSolver {
   std::vector<SurfacePosition> places_;
   std::vector<SurfaceSample> samples_;
   SurfaceIndex index_of_cells_;
+  CoarseMap map_;
+  std::vector<std::size_t> read_nodes_;  // of the map, where the surface is read
+  std::optional<RbfToRead> surface_;
+  std::optional<FilterToSolve> filter_;
   std::vector<CompletedPoint> filled_;
   bool may_have_holes_ = false;
   StemRegion region_;
 };
-
-}  // namespace
 
 double ScatterModel::beyondNoise(double points, double squares) const {
   constexpr double kSignificant = 0.5;  // standard errors
   if (!(points > 1.0)) return 0.0;
   const double error = std::hypot(noise * std::sqrt(2.0 / points), noise_error);
   return std::max(squares / points - noise - kSignificant * error, 0.0);
+}
+
+FilterColor filterColorOf(const Eigen::Vector3f& rgb) {
+  constexpr float kMost = 255.0F;
+  return {rgb.x() / kMost, rgb.y() / kMost, rgb.z() / kMost};
 }
 
 long regionAt(const SurfacePrior& prior, double s) {
@@ -488,8 +506,34 @@ double regionBegin(const SurfacePrior& prior, long index) {
   return sliceBegin(prior, kSlicesPerRegion * index);
 }
 
+RegionSolver::RegionSolver(const StemModel& model, long index)
+    : work_(std::make_unique<Work>(model, index)) {}
+RegionSolver::~RegionSolver() = default;
+RegionSolver::RegionSolver(RegionSolver&&) noexcept = default;
+RegionSolver& RegionSolver::operator=(RegionSolver&&) noexcept = default;
+
+const RbfToRead* RegionSolver::surface() const {
+  return work_->surface();
+}
+
+void RegionSolver::fill(const std::vector<double>& deviations) {
+  work_->fill(deviations);
+}
+
+const FilterToSolve* RegionSolver::filter() const {
+  return work_->filter();
+}
+
+StemRegion RegionSolver::finish(BilateralFilter filter) {
+  return work_->finish(std::move(filter));
+}
+
 StemRegion solveRegion(const StemModel& model, long index) {
-  return RegionSolver(model, index).solve();
+  RegionSolver solver(model, index);
+  const RbfToRead* surface = solver.surface();
+  solver.fill(surface != nullptr ? readSurface(*surface) : std::vector<double>());
+  const FilterToSolve* filter = solver.filter();
+  return solver.finish(filter != nullptr ? BilateralFilter(*filter) : BilateralFilter());
 }
 
 }  // namespace field_phenotyping

@@ -1,5 +1,6 @@
 #include "field_phenotyping/completion/surface_index.hpp"
 
+#include <algorithm>
 #include <numeric>
 
 namespace field_phenotyping {

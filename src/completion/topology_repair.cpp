@@ -21,7 +21,7 @@ std::vector<GapRegion> findDefects(const std::vector<SurfacePosition>& measured,
 
 std::vector<CompletedPoint> repairDefect(const GapRegion& defect,
                                          const std::vector<CompletedPoint>& points, double density,
-                                         double mean_radius, const RbfSurface::Options& options) {
+                                         double mean_radius, const RbfOptions& options) {
   constexpr double kBoundary = 3.0;  // spacings
   constexpr std::size_t kMostBoundaryPoints = 60;
   const double reach = kBoundary / std::sqrt(density);

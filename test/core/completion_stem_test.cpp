@@ -632,6 +632,52 @@ TEST(CompletionStem, FillsNothingWhereTheSensorSawThrough) {
   EXPECT_EQ(filledBetween(seeing, 0.8, 0.9), filledBetween(blind, 0.8, 0.9));
 }
 
+TEST(CompletionStem, StemsTogetherAreThoseApart) {
+  for (const bool has_colors : {false, true}) {
+    Scene scene;
+    scene.gaps = {{0.4, 0.5}};
+    const auto block = makeBlock(scene);
+    const Plant& plant = block->plants[0];
+    PointCloud cloud = block->cloud;
+    for (std::size_t i = 0; has_colors && i < cloud.size(); ++i) {
+      cloud.colors.push_back(static_cast<std::uint32_t>(i * 7919U) & 0xFFFFFFU);
+    }
+    IndexSpan half = plant.stem;  // another stem: fewer points
+    half.end = half.begin + half.size() / 2U;
+    std::vector<StemToModel> to_model;
+    for (const IndexSpan span : {plant.stem, half}) {
+      to_model.push_back(stemToModel(cloud, span, plant.axis, {}));
+    }
+    const auto priors = fitSurfacePriors(to_model, {});
+    ASSERT_TRUE(priors[0] && priors[1]);
+    std::vector<StemToComplete> stems{{plant.stem, &*priors[0], nullptr},
+                                      {{0U, 0U}, nullptr, nullptr},
+                                      {plant.stem, nullptr, nullptr},
+                                      {half, &*priors[1], nullptr}};
+    const std::vector<CompletedStem> first = completeStems(cloud, stems, block->ground, {}, {});
+    for (const bool again : {false, true}) {  // then all regions are taken over
+      if (again) stems[0].previous = first[0].solution.state.get();
+      const std::vector<CompletedStem> apart = completeStems(cloud, stems, block->ground, {}, {});
+      const std::vector<CompletedStem> together =
+          completeStemsTogether(cloud, stems, block->ground, {}, {});
+      ASSERT_EQ(together.size(), stems.size());
+      for (std::size_t i = 0; i < stems.size(); ++i) {
+        EXPECT_EQ(together[i].points, apart[i].points) << i;
+        EXPECT_EQ(together[i].colors, apart[i].colors) << i;
+        EXPECT_EQ(together[i].stddev, apart[i].stddev) << i;
+        EXPECT_EQ(together[i].solution.smoothed, apart[i].solution.smoothed) << i;
+        EXPECT_EQ(together[i].solution.flags, apart[i].solution.flags) << i;
+        EXPECT_EQ(together[i].solution.regions_solved, apart[i].solution.regions_solved) << i;
+      }
+      EXPECT_GT(together[0].points.size(), 100U);
+      EXPECT_EQ(together[0].colors.size(), has_colors ? together[0].points.size() : 0U);
+      EXPECT_EQ(together[0].solution.regions_solved == 0U, again);
+      EXPECT_EQ(together[1].solution.flags, kCompletionTooFewPoints);
+      EXPECT_EQ(together[2].solution.flags, kCompletionNoSurface);
+    }
+  }
+}
+
 TEST(CompletionStem, SmoothsMeasuredPointsOfThePictureOnly) {
   Scene scene;
   scene.points = 2000;

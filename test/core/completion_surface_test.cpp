@@ -323,7 +323,7 @@ constexpr FilterGrid kFilterGrid{0.002, 15, 31};
 
 TEST(CompletionFilter, DoesNotShrinkAThinCylinder) {
   const std::vector<FilterPoint> points = bumpySurface(0.0004);
-  const BilateralFilter filter(points, kFilterGrid, kRadius, {});
+  const BilateralFilter filter({points, kFilterGrid, kRadius, {}});
   for (const FilterPoint& point : points) {
     EXPECT_NEAR(filter.at(point.position, point.color), 0.0004, 1e-9);
   }
@@ -336,13 +336,13 @@ TEST(CompletionFilter, EvensOutNoiseAndKeepsAColourEdge) {
   for (FilterPoint& point : points) {
     const bool upper = point.position.s > 0.015;
     point.deviation = (upper ? 0.002 : 0.0) + noise(random);
-    point.color = upper ? Eigen::Vector3f(0.1F, 0.8F, 0.1F) : Eigen::Vector3f(0.5F, 0.3F, 0.1F);
+    point.color = upper ? FilterColor{0.1F, 0.8F, 0.1F} : FilterColor{0.5F, 0.3F, 0.1F};
   }
   FilterOptions by_color;
   by_color.attribute = FilterAttribute::kColor;
   by_color.sigma_attribute = 0.1;
-  const BilateralFilter kept(points, kFilterGrid, kRadius, by_color);
-  const BilateralFilter blurred(points, kFilterGrid, kRadius, {});
+  const BilateralFilter kept({points, kFilterGrid, kRadius, by_color});
+  const BilateralFilter blurred({points, kFilterGrid, kRadius, {}});
   double error = 0.0, blurred_at_edge = 0.0, kept_at_edge = 0.0;
   for (const FilterPoint& point : points) {
     const double truth = point.position.s > 0.015 ? 0.002 : 0.0;
@@ -369,7 +369,7 @@ TEST(CompletionFilter, AgreesWithTheSumOverAllPairs) {
     points.push_back(point);
   }
   const FilterOptions options;
-  const BilateralFilter filter(points, kFilterGrid, kRadius, options);
+  const BilateralFilter filter({points, kFilterGrid, kRadius, options});
   double squares = 0.0, spread = 0.0, count = 0.0;
   for (const FilterPoint& p : points) {
     if (!p.is_read) continue;

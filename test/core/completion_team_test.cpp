@@ -1,5 +1,6 @@
-// The fit of a stem's coarse model by teams of threads: the same bits as by one, whatever the team;
-// and what it is made of, beside the standard library and Eigen.
+// The fit of a stem's coarse model, the surfaces and the filters of its regions by teams of
+// threads: the same bits as by one, whatever the team; and what they are made of, beside the
+// standard library and Eigen.
 
 #include <gtest/gtest.h>
 
@@ -15,6 +16,8 @@
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/common/team_envelope.hpp"
 #include "field_phenotyping/common/team_order.hpp"
+#include "field_phenotyping/completion/bilateral_filter.hpp"
+#include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/stem_frame.hpp"
 #include "field_phenotyping/completion/surface_prior_task.hpp"
 
@@ -125,6 +128,16 @@ TEST(TeamEnvelope, SolvesAsTheDenseMatrixDoesWhateverTheTeam) {
     });
     EXPECT_EQ(same, values) << "factors of " << c.size;
     EXPECT_EQ(by_team, solution) << c.size;
+    if (c.shared == 0) {
+      const Eigen::VectorXd column = right.col(0);
+      Eigen::VectorXd one = column;
+      teamSolve(SerialTeam(), alone, one.data());
+      EXPECT_LT((matrix * one - column).cwiseAbs().maxCoeff(), 1e-12) << c.size;
+      Eigen::VectorXd one_by_team = column;
+      runEmulatedTeam(
+          2U, [&](const EmulatedTeam& team) { teamSolve(team, together, one_by_team.data()); });
+      EXPECT_EQ(one_by_team, one) << c.size;
+    }
     fillEnvelope(alone, -1.0);
     EXPECT_FALSE(teamFactor(SerialTeam(), alone));
   }
@@ -268,6 +281,213 @@ TEST(SurfacePriorTeam, LeavesWhatIsNoStem) {
   EXPECT_EQ(priors[1]->meanRadius(), SurfacePrior::fit(stem.points, axis, 0.05)->meanRadius());
   EXPECT_NEAR(priors[1]->meanRadius(), 0.011, 0.001);
   EXPECT_TRUE(fitSurfacePriors({}, {}).empty());
+}
+
+/// Centres of a wavy surface of which a stretch is not seen.
+std::vector<SurfaceSample> wavyCenters(int count, double length) {
+  std::mt19937 random(11U);
+  std::uniform_real_distribution<double> uniform;
+  std::vector<SurfaceSample> centers;
+  for (int i = 0; i < count; ++i) {
+    const double theta = 5.0 * uniform(random) - 2.5;
+    const double s = length * (i % 5 == 0 ? uniform(random) : 0.4 * uniform(random));
+    centers.push_back({{theta, s}, 0.001 * std::cos(2.0 * theta + 40.0 * s), 1.0 + i % 4});
+  }
+  return centers;
+}
+
+struct SolvedSurface {
+  int band;
+  std::vector<double> weights, coefficients;
+};
+
+/// @param run calls what it is given with the members of a team
+template <class Run>
+SolvedSurface solveBy(const RbfSystem& system, int members, const Run& run) {
+  const RbfTask task = system.task();
+  const std::size_t count = task.centers.count;
+  SolvedSurface solved{0, std::vector<double>(count), std::vector<double>(count)};
+  std::vector<int> scratch(static_cast<std::size_t>(members));
+  std::vector<double> matrix(count * (system.mostBand() + 1U));
+  std::vector<int> bands(static_cast<std::size_t>(members));
+  run([&](const auto& team) {
+    RbfSolver<std::decay_t<decltype(team)>> solver(team, task, solved.weights.data(),
+                                                   solved.coefficients.data());
+    bands[team.rank()] = solver.prepare(scratch.data());
+    solver.solve(matrix.data(), bands[team.rank()]);
+  });
+  solved.band = bands.front();
+  for (const int band : bands) EXPECT_EQ(band, solved.band);
+  return solved;
+}
+
+TEST(RbfTeam, SurfaceIsThatOfOneThreadBitForBit) {
+  struct Case {
+    int centers;
+    double length;  // [m]
+    double kernel_scale;
+    unsigned groups;
+  };
+  for (const Case& c : {Case{1, 0.2, 1.0, 1U}, Case{90, 0.24, 1.0, 2U}, Case{90, 0.6, 0.5, 3U},
+                        Case{40, 0.24, 5.0, 2U}}) {
+    constexpr double kRadius = 0.012;
+    RbfOptions options;
+    options.kernel_scale = c.kernel_scale;
+    options.noise = 0.0004;
+    const RbfSystem system(wavyCenters(c.centers, c.length), kRadius, options);
+    const SolvedSurface alone = solveBy(system, 1, [](const auto& work) { work(SerialTeam()); });
+    const SolvedSurface together =
+        solveBy(system, static_cast<int>(c.groups * kLanes),
+                [&](const auto& work) { runEmulatedTeam(c.groups, work); });
+    EXPECT_EQ(together.band, alone.band) << c.centers;
+    EXPECT_EQ(together.weights, alone.weights) << c.centers;
+    EXPECT_EQ(together.coefficients, alone.coefficients) << c.centers;
+    EXPECT_LE(alone.band, static_cast<int>(system.mostBand()));
+    if (c.length > 0.5) {
+      EXPECT_LT(alone.band, 60) << "of 90: far centres are left out";
+    }
+  }
+}
+
+TEST(RbfTeam, SolvesTheEquationsOfThePaper) {
+  const RbfSystem system(wavyCenters(80, 0.4), 0.012, {1.0, 1e-3, 0.0004});
+  const SolvedSurface solved = solveBy(system, 1, [](const auto& work) { work(SerialTeam()); });
+  const RbfTask task = system.task();
+  const auto count = static_cast<Eigen::Index>(task.centers.count);
+  const Eigen::Map<const Eigen::VectorXd> w(solved.weights.data(), count);
+  Eigen::MatrixXd dense(count, count);
+  for (Eigen::Index i = 0; i < count; ++i) {
+    for (Eigen::Index j = 0; j < count; ++j) {
+      const double d = (task.centers.points[i] - task.centers.points[j]).squaredNorm();
+      const double mean = 0.5 * (w[i] + w[j]);
+      dense(i, j) = w[i] * w[j] * std::pow(std::sqrt(w[i] * w[j]) / mean, 1.5) *
+                    std::exp(-d / (system.kernelWidth() * system.kernelWidth() * mean));
+    }
+    dense(i, i) += 1e-3 + w[i] * w[i] * task.noise[i];
+  }
+  const Eigen::Map<const Eigen::VectorXd> values(task.values, count);
+  const Eigen::VectorXd expected = w.cwiseProduct(dense.llt().solve(w.cwiseProduct(values)));
+  const Eigen::Map<const Eigen::VectorXd> found(solved.coefficients.data(), count);
+  EXPECT_LT((found - expected).cwiseAbs().maxCoeff(), 1e-12 * expected.cwiseAbs().maxCoeff());
+  EXPECT_GT(w.maxCoeff(), 1.5 * w.minCoeff()) << "the density counts";
+}
+
+TEST(RbfTeam, CoincidentCentresRaiseTheRidgeTogether) {
+  std::vector<SurfaceSample> centers(30, SurfaceSample{{0.3, 0.1}, 0.001, 1.0});
+  const RbfSystem system(centers, 0.012, {1.0, 1e-17, 0.0});
+  const SolvedSurface alone = solveBy(system, 1, [](const auto& work) { work(SerialTeam()); });
+  const SolvedSurface together =
+      solveBy(system, 8, [](const auto& work) { runEmulatedTeam(2U, work); });
+  EXPECT_EQ(together.coefficients, alone.coefficients);
+  EXPECT_GT(alone.coefficients.front(), 0.0);
+}
+
+TEST(RbfTeam, ManySurfacesAreReadAsOneIs) {
+  std::vector<RbfToRead> surfaces;
+  for (int i = 0; i < 5; ++i) {
+    RbfSystem system(wavyCenters(30 * i, 0.2), 0.012, {});
+    surfaces.push_back({std::move(system), {}});
+    for (int k = 0; k < 3 * i; ++k) {
+      surfaces.back().places.push_back(surfaces.back().system.index().embed({0.3 * k, 0.01 * k}));
+    }
+  }
+  std::vector<const RbfToRead*> given;
+  for (const RbfToRead& surface : surfaces) given.push_back(&surface);
+  const std::vector<std::vector<double>> values = readSurfaces(given, {});
+  ASSERT_EQ(values.size(), surfaces.size());
+  for (std::size_t i = 0; i < surfaces.size(); ++i) {
+    EXPECT_EQ(values[i], readSurface(surfaces[i])) << i;
+    EXPECT_EQ(values[i].size(), surfaces[i].places.size());
+    for (std::size_t k = 0; k < values[i].size(); ++k) EXPECT_NE(values[i][k], 0.0);
+  }
+  EXPECT_TRUE(readSurfaces({}, {}).empty());
+}
+
+FilterToSolve noisyStretch(int count, double radius, FilterAttribute attribute) {
+  std::mt19937 random(17U);
+  std::uniform_real_distribution<double> uniform;
+  const auto share = [&] { return static_cast<float>(uniform(random)); };
+  FilterToSolve given;
+  given.grid = {0.0025, 20, std::max(3, static_cast<int>(6.3 * radius / 0.0025))};
+  given.radius = radius;
+  given.options.attribute = attribute;
+  for (int i = 0; i < count; ++i) {
+    FilterPoint point;
+    point.position = {6.2 * uniform(random) - 3.1, 0.09 * uniform(random) - 0.02};
+    point.deviation = 0.002 * uniform(random) - 0.001;
+    point.weight = 1.0 + i % 3;
+    point.color = {share(), share(), share()};
+    point.is_read = i % 4 != 0;
+    given.points.push_back(point);
+  }
+  return given;
+}
+
+TEST(FilterTeam, FilterIsThatOfOneThreadBitForBit) {
+  for (const FilterAttribute attribute : {FilterAttribute::kNormal, FilterAttribute::kColor}) {
+    for (const int count : {0, 3, 400}) {
+      const FilterToSolve given = noisyStretch(count, 0.012, attribute);
+      const std::vector<double> along{1.0, 0.7, 0.2};
+      const std::vector<double> around{1.0, 0.6, 0.3, 0.1};
+      const FilterTask task{given.points.data(),
+                            count,
+                            given.grid,
+                            along.data(),
+                            around.data(),
+                            2,
+                            3,
+                            attribute == FilterAttribute::kColor,
+                            12.5};
+      const auto sums = static_cast<std::size_t>(task.sums());
+      const auto nodes = static_cast<std::size_t>(given.grid.nodes());
+      // What the memory holds before does not matter.
+      const auto solveBy = [&](std::size_t groups, double rubbish, const auto& run) {
+        std::vector<double> weight(sums, rubbish), value(sums, rubbish);
+        std::vector<double> rows(groups * static_cast<std::size_t>(task.wideRow()), rubbish);
+        std::vector<FilterColor> color(sums, FilterColor{3.0F, 4.0F, 5.0F});
+        std::vector<unsigned char> is_read(sums, 7U);
+        std::vector<FilterNode> solved(nodes, FilterNode{8.0F, 9.0F});
+        std::vector<FilterColor> colors(nodes);
+        run([&](const auto& team) {
+          FilterSolver<std::decay_t<decltype(team)>>(
+              team, task, {weight.data(), value.data(), color.data(), is_read.data(), rows.data()})
+              .run(solved.data(), colors.data());
+        });
+        std::vector<float> numbers;
+        for (std::size_t i = 0; i < nodes; ++i) {
+          numbers.insert(numbers.end(), {solved[i].deviation, solved[i].weight, colors[i].r,
+                                         colors[i].g, colors[i].b});
+        }
+        return numbers;
+      };
+      const auto alone = solveBy(1U, 1.0, [](const auto& work) { work(SerialTeam()); });
+      for (const unsigned groups : {1U, 3U}) {
+        EXPECT_EQ(alone,
+                  solveBy(groups, -2.0, [&](const auto& work) { runEmulatedTeam(groups, work); }))
+            << count << " points, " << groups << " groups";
+      }
+      EXPECT_EQ(count > 0, std::any_of(alone.begin(), alone.end(), [](float v) { return v != 0; }));
+    }
+  }
+}
+
+TEST(FilterTeam, ManyFiltersAreThoseAlone) {
+  std::vector<FilterToSolve> given;
+  for (int i = 0; i < 5; ++i) {
+    given.push_back(noisyStretch(100 * i, 0.01 + 0.001 * i,
+                                 i % 2 == 0 ? FilterAttribute::kNormal : FilterAttribute::kColor));
+  }
+  std::vector<const FilterToSolve*> all;
+  for (const FilterToSolve& one : given) all.push_back(&one);
+  const std::vector<BilateralFilter> filters = solveFilters(all, {});
+  ASSERT_EQ(filters.size(), given.size());
+  for (std::size_t i = 0; i < given.size(); ++i) {
+    const BilateralFilter alone(given[i]);
+    for (const FilterPoint& point : given[i].points) {
+      EXPECT_EQ(filters[i].at(point.position, point.color), alone.at(point.position, point.color));
+    }
+  }
+  EXPECT_TRUE(solveFilters({}, {}).empty());
 }
 
 }  // namespace

@@ -11,6 +11,8 @@
 #include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/completion/bilateral_filter.hpp"
+#include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/surface_prior.hpp"
 #include "field_phenotyping/measurement/stem_cross_section.hpp"
 #include "field_phenotyping/pipeline.hpp"
@@ -284,6 +286,69 @@ TEST_F(Gpu, SurfacePriorsAreTheSameBitForBit) {
   }
   EXPECT_GT(valid, stems.size()) << "of twice as many";
   EXPECT_EQ(device_.use().gpu_steps, 4U) << "two times two batches";
+}
+
+TEST_F(Gpu, SurfacesAreTheSameBitForBit) {
+  std::vector<RbfToRead> surfaces;
+  std::mt19937 random(41U);
+  std::uniform_real_distribution<double> uniform;
+  for (int i = 0; i < 700; ++i) {  // more than are worked on at once
+    // Some are too wide for shared memory, and one has nothing in it.
+    const int count = i % 50 == 7 ? 500 : i % 150;
+    const double radius = count == 500 ? 0.05 : 0.012;
+    std::vector<SurfaceSample> centers;
+    for (int k = 0; k < count; ++k) {
+      const double theta = (i % 2 == 0 ? 3.0 : 6.3) * uniform(random);
+      centers.push_back(
+          {{theta, 0.24 * uniform(random)}, 0.002 * uniform(random) - 0.001, 1.0 + k % 3});
+    }
+    surfaces.push_back({RbfSystem(centers, radius, {i % 3 == 0 ? 3.0 : 1.0, 1e-3, 0.0005}), {}});
+    for (int k = 0; k < i % 200; ++k) {
+      surfaces.back().places.push_back(
+          surfaces.back().system.index().embed({6.3 * uniform(random), 0.24 * uniform(random)}));
+    }
+  }
+  std::vector<const RbfToRead*> given;
+  for (const RbfToRead& surface : surfaces) given.push_back(&surface);
+  const std::vector<std::vector<double>> on_cpu = readSurfaces(given, {});
+  for (int run = 0; run < 2; ++run) EXPECT_EQ(on_cpu, readSurfaces(given, device_));
+  EXPECT_GE(device_.use().gpu_steps, 4U);
+  EXPECT_TRUE(readSurfaces({}, device_).empty());
+}
+
+TEST_F(Gpu, FiltersAreTheSameBitForBit) {
+  std::mt19937 random(43U);
+  std::uniform_real_distribution<double> uniform;
+  const auto share = [&] { return static_cast<float>(uniform(random)); };
+  std::vector<FilterToSolve> given;
+  for (int i = 0; i < 600; ++i) {  // more than are worked on at once
+    FilterToSolve one;
+    one.radius = i % 100 == 3 ? 0.06 : 0.012;
+    one.grid = {0.0025, 48, static_cast<int>(6.3 * one.radius / 0.0025)};
+    one.options.attribute = i % 4 == 0 ? FilterAttribute::kColor : FilterAttribute::kNormal;
+    for (int k = 0; k < 2 * i; ++k) {
+      FilterPoint point;
+      point.position = {6.2 * uniform(random) - 3.1, 0.16 * uniform(random) - 0.02};
+      point.deviation = 0.002 * uniform(random) - 0.001;
+      point.color = {share(), share(), share()};
+      point.is_read = k % 5 != 0;
+      one.points.push_back(point);
+    }
+    given.push_back(one);
+  }
+  std::vector<const FilterToSolve*> all;
+  for (const FilterToSolve& one : given) all.push_back(&one);
+  const std::vector<BilateralFilter> on_cpu = solveFilters(all, {});
+  for (int run = 0; run < 2; ++run) {
+    const std::vector<BilateralFilter> on_gpu = solveFilters(all, device_);
+    for (std::size_t i = 0; i < given.size(); ++i) {
+      for (const FilterPoint& p : given[i].points) {
+        ASSERT_EQ(on_cpu[i].at(p.position, p.color), on_gpu[i].at(p.position, p.color)) << i;
+      }
+    }
+  }
+  EXPECT_EQ(device_.use().gpu_steps, 4U) << "two times two batches";
+  EXPECT_TRUE(solveFilters({}, device_).empty());
 }
 
 TEST_F(Gpu, LeafBasesAreTheSameBitForBit) {

@@ -83,6 +83,31 @@ FIELD_PHENOTYPING_HD bool teamFactor(const Team& team, const Envelope& matrix) {
   return true;
 }
 
+/// Solves A x = b in place for a matrix without shared rows that teamFactor() has factored, all
+/// members working on the one column. All may read it afterwards.
+/// @param b complete when the members come here
+template <class Team>
+FIELD_PHENOTYPING_HD void teamSolve(const Team& team, const Envelope& factor, double* b) {
+  const int rank = static_cast<int>(team.rank());
+  const int size = static_cast<int>(team.size());
+  for (int k = 0; k < factor.size; ++k) {
+    const double value = b[k] / factor.row(k)[k];
+    team.sync();  // all have read it
+    if (rank == 0) b[k] = value;
+    const int end = k + factor.band < factor.size ? k + factor.band + 1 : factor.size;
+    for (int i = k + 1 + rank; i < end; i += size) b[i] -= factor.row(i)[k] * value;
+    team.sync();
+  }
+  for (int k = factor.size - 1; k >= 0; --k) {
+    const double* row = factor.row(k);
+    const double value = b[k] / row[k];
+    team.sync();
+    if (rank == 0) b[k] = value;
+    for (int i = factor.first(k) + rank; i < k; i += size) b[i] -= row[i] * value;
+    team.sync();
+  }
+}
+
 /// Solves A X = B in place for a matrix that teamFactor() has factored; each member works on
 /// columns of its own. What they wrote may be read after the next sync().
 /// @param b A's size x columns, row by row; complete when the members come here

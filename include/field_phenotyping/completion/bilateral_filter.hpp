@@ -1,20 +1,12 @@
 #pragma once
 
-#include <Eigen/Core>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
+#include "field_phenotyping/completion/bilateral_filter_team.hpp"
 #include "field_phenotyping/completion/surface_index.hpp"
 
 namespace field_phenotyping {
-
-/// One or more points of the completed stem in about one place, as the filter sees them.
-struct FilterPoint {
-  SurfacePosition position;
-  double deviation = 0.0;  ///< from the stem's prior surface, along its normal [m]
-  double weight = 1.0;     ///< how many points they are
-  Eigen::Vector3f color = Eigen::Vector3f::Zero();  ///< rgb in [0, 1]
-  bool is_read = true;  ///< whether the filter will be read in its cell of the grid
-};
 
 /// I of Eq 25.
 enum class FilterAttribute { kNormal, kColor };
@@ -25,11 +17,13 @@ struct FilterOptions {
   FilterAttribute attribute = FilterAttribute::kNormal;
 };
 
-/// Cells of a stretch of the unrolled stem: rows begin at s = 0, columns at theta = -pi.
-struct FilterGrid {
-  double row_height = 0.0;  ///< [m]
-  int rows = 0;
-  int columns = 0;
+/// What a filter is made of.
+struct FilterToSolve {
+  std::vector<FilterPoint> points;  ///< of the stretch and of at least 2 sigma_space and two rows
+                                    ///< beyond it, any order
+  FilterGrid grid;
+  double radius = 0.0;  ///< of the stem [m]
+  FilterOptions options;
 };
 
 /// Bilateral filter of a stretch of a completed stem (paper Eq 25): a point moves along the normal
@@ -42,26 +36,26 @@ struct FilterGrid {
 class BilateralFilter {
  public:
   BilateralFilter() = default;
-  /// @param points of the stretch and of at least 2 sigma_space and two rows beyond it, any order
-  /// @param radius of the stem [m]
-  BilateralFilter(const std::vector<FilterPoint>& points, const FilterGrid& grid, double radius,
-                  const FilterOptions& options);
+  explicit BilateralFilter(const FilterToSolve& given);
 
   /// Filtered deviation at a place of the stretch in a cell with a point to be read [m]; elsewhere
   /// perhaps 0.
-  /// @param color what is there, rgb in [0, 1]; counts for FilterAttribute::kColor only
-  double at(const SurfacePosition& place, const Eigen::Vector3f& color) const;
+  /// @param color what is there; counts for FilterAttribute::kColor only
+  double at(const SurfacePosition& place, const FilterColor& color) const;
 
  private:
-  struct Node {
-    float deviation = 0.0F;
-    float weight = 0.0F;  // 0: unknown
-  };
+  friend std::vector<BilateralFilter> solveFilters(const std::vector<const FilterToSolve*>& given,
+                                                   const ComputeDevice& device);
 
   FilterGrid grid_;
   double per_attribute_ = 0.0;
-  std::vector<Node> nodes_;              // row by row, from one below the stretch to one above it
-  std::vector<Eigen::Vector3f> colors_;  // of the nodes; by colour only
+  std::vector<FilterNode> nodes_;    // row by row, from one below the stretch to one above it
+  std::vector<FilterColor> colors_;  // of the nodes; by colour only
 };
+
+/// Many filters at once, a thread block each, on the GPU; with the same bits. What the GPU cannot
+/// do the CPU does, on all cores. Thread-safe.
+std::vector<BilateralFilter> solveFilters(const std::vector<const FilterToSolve*>& given,
+                                          const ComputeDevice& device);
 
 }  // namespace field_phenotyping

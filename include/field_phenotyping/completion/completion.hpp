@@ -13,7 +13,8 @@ namespace field_phenotyping {
 /// surface is left as it is, and its flags say why. Thread-safe; deterministic.
 /// @param previous an older revision of the block as completed in this process, or null: of plants
 ///        with the same id only the regions that newer scans touch are solved again (2.6.1)
-/// @param device what the coarse models are fitted on; all else is the CPU's
+/// @param device what the coarse models are fitted and the regions' surfaces and filters found on;
+///        all else is the CPU's
 CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
                              const CompletionParameters& parameters,
                              const CompletedBlock* previous = nullptr,

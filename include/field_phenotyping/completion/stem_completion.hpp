@@ -2,9 +2,9 @@
 
 #include <cstdint>
 #include <memory>
-#include <optional>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/completion/completed_block.hpp"
 #include "field_phenotyping/completion/completion_flags.hpp"
@@ -37,13 +37,30 @@ CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem, const StemAx
                            const GroundModel& ground, const CompletionParameters& parameters,
                            const StemState* previous = nullptr);
 
-/// The same in two steps, of which the first may be one for many stems, see fitSurfacePriors().
+/// The same of many stems, whose priors are fitted together before, see fitSurfacePriors().
 /// @return without points where the stem has too few
 StemToModel stemToModel(const PointCloud& cloud, IndexSpan stem, const StemAxis& axis,
                         const CompletionParameters& parameters);
-/// @param prior none where the stem does not carry a surface
-CompletedStem completeStem(const PointCloud& cloud, IndexSpan stem,
-                           const std::optional<SurfacePrior>& prior, const GroundModel& ground,
-                           const CompletionParameters& parameters, const StemState* previous);
+
+struct StemToComplete {
+  IndexSpan stem;
+  const SurfacePrior* prior;  ///< null where the stem does not carry a surface
+  const StemState* previous;  ///< as for completeStem()
+};
+
+/// On all cores, a stem at a time on each; or together where there is a GPU.
+std::vector<CompletedStem> completeStems(const PointCloud& cloud,
+                                         const std::vector<StemToComplete>& stems,
+                                         const GroundModel& ground,
+                                         const CompletionParameters& parameters,
+                                         const ComputeDevice& device);
+
+/// The same, with the same bits, all stems step by step, so that the surfaces and filters of all
+/// their regions are found at once: on the device, or where it has no GPU on all cores.
+std::vector<CompletedStem> completeStemsTogether(const PointCloud& cloud,
+                                                 const std::vector<StemToComplete>& stems,
+                                                 const GroundModel& ground,
+                                                 const CompletionParameters& parameters,
+                                                 const ComputeDevice& device);
 
 }  // namespace field_phenotyping

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <memory>
 #include <vector>
 
 #include "field_phenotyping/completion/bilateral_filter.hpp"
@@ -44,8 +45,11 @@ struct StemModel {
   double smoothing = 0.0;     ///< sigma_s of Eq 25 [m]
   double max_stddev = 0.0;    ///< [m]
   CenterLattice lattice = {};
-  RbfSurface::Options surface = {};
+  RbfOptions surface = {};
 };
+
+/// @param rgb 0 ... 255
+FilterColor filterColorOf(const Eigen::Vector3f& rgb);
 
 /// A solved piece of a stem.
 struct StemRegion {
@@ -66,5 +70,28 @@ double regionBegin(const SurfacePrior& prior, long index);  ///< arc length of t
 /// 21), where and how many points are missing (Eq 22), their colours (Eq 23), the bilateral filter
 /// (Eq 25), and repair of defects (Eq 26). Reads the slices of the region and one beside each end.
 StemRegion solveRegion(const StemModel& model, long index);
+
+/// The same in steps, between which the surfaces and filters of many regions are found at once.
+class RegionSolver {
+ public:
+  /// @param model must stay as long as this
+  RegionSolver(const StemModel& model, long index);
+  ~RegionSolver();
+  RegionSolver(RegionSolver&&) noexcept;
+  RegionSolver& operator=(RegionSolver&&) noexcept;
+
+  /// The surface of Eq 19 to 21 and where it is to be read; null where it is nowhere.
+  const RbfToRead* surface() const;
+  /// @param deviations of these places, see readSurfaces(); none where there is no surface
+  void fill(const std::vector<double>& deviations);
+  /// The filter of Eq 25, once gaps are filled; null where nothing is to be smoothed.
+  const FilterToSolve* filter() const;
+  /// @param filter that, see solveFilters(); or none
+  StemRegion finish(BilateralFilter filter);
+
+ private:
+  class Work;
+  std::unique_ptr<Work> work_;
+};
 
 }  // namespace field_phenotyping

@@ -28,6 +28,6 @@ std::vector<GapRegion> findDefects(const std::vector<SurfacePosition>& measured,
 /// @param points all of the completed stem round the defect, in any order
 std::vector<CompletedPoint> repairDefect(const GapRegion& defect,
                                          const std::vector<CompletedPoint>& points, double density,
-                                         double mean_radius, const RbfSurface::Options& options);
+                                         double mean_radius, const RbfOptions& options);
 
 }  // namespace field_phenotyping
