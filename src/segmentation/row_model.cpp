@@ -322,6 +322,7 @@ void RowModel::fitSpacing(const std::vector<PlantPlace>& places, double hint) {
       std::max_element(of_spacings.begin(), of_spacings.end(), [](const Best& a, const Best& b) {
         return a.likelihood < b.likelihood;
       });  // the first of the best
+  if (best == of_spacings.end() || std::isinf(best->likelihood)) return;
   plant_spacing_ = best->spacing;
   spacing_scatter_ = best->scatter;
   missing_ = best->missing;
