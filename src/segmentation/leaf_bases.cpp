@@ -18,9 +18,7 @@ using leaf::kLongest;
 using leaf::kPi;
 using leaf::turned;
 
-// That the search begins from: near enough to one another to climb to what lies between.
 constexpr std::array<float, 6> kSlopes{0.18F, 0.27F, 0.40F, 0.58F, 0.84F, 1.2F};
-constexpr std::array<float, 2> kFewSlopes{0.27F, 0.58F};
 
 /// A point as the search sees it.
 struct Place {
@@ -149,13 +147,13 @@ class Votes {
 };
 
 /// Where many points outside the surface, carried back along one slope, meet it in one place.
-std::vector<LeafBase> guess(const Surroundings& around, LeafSearchEffort effort) {
+std::vector<LeafBase> guess(const Surroundings& around) {
   std::vector<LeafBase> guesses;
   if (around.count == 0U) return guesses;
   constexpr float kClear = 2.0F;  // spreads beyond the surface
   constexpr float kLeastVotes = 2.5F;
   Votes votes(around.arc_lengths[0] - kLongest, around.arc_lengths[around.count - 1U]);
-  const auto addFrom = [&](float slope) {
+  for (const float slope : kSlopes) {
     votes.clear();
     for (std::size_t i = 0; i < around.count; ++i) {
       const float beyond = around.distances[i] - around.radii[i];
@@ -169,18 +167,12 @@ std::vector<LeafBase> guess(const Surroundings& around, LeafSearchEffort effort)
       base.slope = slope;
       guesses.push_back(base);
     });
-  };
-  if (effort == LeafSearchEffort::kFull) {
-    std::for_each(kSlopes.begin(), kSlopes.end(), addFrom);
-  } else {
-    std::for_each(kFewSlopes.begin(), kFewSlopes.end(), addFrom);
   }
   return guesses;
 }
 
 Surroundings lookAround(const std::vector<Eigen::Vector3f>& points,
-                        const std::vector<std::uint32_t>& members, const Midline& midline,
-                        LeafSearchEffort effort) {
+                        const std::vector<std::uint32_t>& members, const Midline& midline) {
   Surroundings around;
   constexpr float kThinnest = 0.002F;  // [m] skin
   around.spread = std::max(midline.spread, kThinnest);
@@ -224,7 +216,7 @@ Surroundings lookAround(const std::vector<Eigen::Vector3f>& points,
     around.stem[i] =
         around.stem_density * stemDensity(around.distances[i], around.radii[i], around.spread);
   }
-  around.guesses = guess(around, effort);
+  around.guesses = guess(around);
   return around;
 }
 
@@ -264,9 +256,8 @@ bool findOnGpu(const std::vector<Surroundings>& stems, const ComputeDevice& devi
 }  // namespace
 
 LeafBases::LeafBases(const std::vector<Eigen::Vector3f>& points,
-                     const std::vector<std::uint32_t>& members, const Midline& midline,
-                     LeafSearchEffort effort) {
-  const Surroundings around = lookAround(points, members, midline, effort);
+                     const std::vector<std::uint32_t>& members, const Midline& midline) {
+  const Surroundings around = lookAround(points, members, midline);
   *this = LeafBases(findAlone(around), around.spread);
 }
 
@@ -279,19 +270,17 @@ LeafBases::LeafBases(std::vector<LeafBase> bases, float spread)
 std::vector<LeafBases> findLeafBases(const std::vector<Eigen::Vector3f>& points,
                                      const std::vector<std::vector<std::uint32_t>>& members,
                                      const std::vector<const Midline*>& midlines,
-                                     const ComputeDevice& device, LeafSearchEffort effort) {
+                                     const ComputeDevice& device) {
   std::vector<LeafBases> bases(midlines.size());
   if (!device.hasGpu()) {
-    parallelFor(midlines.size(), [&](std::size_t s) {
-      bases[s] = LeafBases(points, members[s], *midlines[s], effort);
-    });
+    parallelFor(midlines.size(),
+                [&](std::size_t s) { bases[s] = LeafBases(points, members[s], *midlines[s]); });
     return bases;
   }
   std::vector<Surroundings> around(midlines.size());
   std::vector<std::vector<LeafBase>> found(midlines.size());
-  parallelFor(midlines.size(), [&](std::size_t s) {
-    around[s] = lookAround(points, members[s], *midlines[s], effort);
-  });
+  parallelFor(midlines.size(),
+              [&](std::size_t s) { around[s] = lookAround(points, members[s], *midlines[s]); });
   const bool done = midlines.empty() || findOnGpu(around, device, found);
   parallelFor(midlines.size(), [&](std::size_t s) {
     bases[s] = LeafBases(done ? std::move(found[s]) : findAlone(around[s]), around[s].spread);

@@ -97,11 +97,7 @@ void refineMidlines(const GrowthScene& scene, float max_radius, float plant_heig
   });
   std::vector<LeafBases> leaf_bases(stems.size());
   if (leaves_known) {
-    // What is plainly a leaf's is left out; a base that is missed hardly moves the surface of a
-    // stem that has grown out of the whorl.
-    leaf_bases = findLeafBases(
-        scene.points, members, midlinesOf(stems), device,
-        plant_height > kSeedling ? LeafSearchEffort::kRough : LeafSearchEffort::kFull);
+    leaf_bases = findLeafBases(scene.points, members, midlinesOf(stems), device);
   }
   parallelFor(stems.size(), [&](std::size_t s) {
     Midline& midline = stems[s].midline;

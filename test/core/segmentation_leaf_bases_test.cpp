@@ -62,10 +62,10 @@ class Plant {
     midline.spread = kNoise;
     return midline;
   }
-  LeafBases bases(LeafSearchEffort effort = LeafSearchEffort::kFull) const {
+  LeafBases bases() const {
     std::vector<std::uint32_t> members(points.size());
     std::iota(members.begin(), members.end(), 0U);
-    return LeafBases(points, members, midline(), effort);
+    return LeafBases(points, members, midline());
   }
 
   std::vector<Eigen::Vector3f> points;
@@ -114,28 +114,6 @@ TEST(LeafBases, AreFoundWhereLeavesLeave) {
       }
     }
   }
-}
-
-TEST(LeafBases, ARoughSearchFindsMostOfThem) {
-  std::size_t there = 0U;
-  std::size_t found = 0U;
-  for (unsigned seed = 1; seed <= 5; ++seed) {
-    for (const float slope : {0.3F, 0.6F, 1.1F}) {
-      const std::vector<Leaf> leaves{{0.3F, 0.5F, slope}, {0.55F, -2.7F, slope}};
-      Plant plant(seed);
-      plant.addStem(leaves, 600U);
-      const std::vector<LeafBase> bases = plant.bases(LeafSearchEffort::kRough).all();
-      EXPECT_LE(bases.size(), leaves.size() + 1U);
-      there += leaves.size();
-      for (const Leaf& leaf : leaves) {
-        found += std::any_of(bases.begin(), bases.end(), [&](const LeafBase& base) {
-          return std::abs(base.arc_length - leaf.height) < 0.02F &&
-                 apart(base.azimuth, leaf.azimuth) < 0.5F;
-        });
-      }
-    }
-  }
-  EXPECT_GE(5U * found, 4U * there);
 }
 
 TEST(LeafBases, OfABareStemThereAreNone) {

@@ -9,12 +9,6 @@
 
 namespace field_phenotyping {
 
-/// How thoroughly leaf bases are searched for.
-enum class LeafSearchEffort {
-  kFull,
-  kRough,  ///< from two slopes: less than half the work, for most of them
-};
-
 /// The leaf bases of one stem, and which points near its surface are theirs.
 ///
 /// Within the first centimetres a leaf lies closer to the stem than the noise of a point, so that
@@ -31,7 +25,7 @@ class LeafBases {
   /// @param members indices of the points within about `kReach` of the surface, those of leaves
   /// included
   LeafBases(const std::vector<Eigen::Vector3f>& points, const std::vector<std::uint32_t>& members,
-            const Midline& midline, LeafSearchEffort effort = LeafSearchEffort::kFull);
+            const Midline& midline);
   /// @param spread noise of the midline's surface [m]
   LeafBases(std::vector<LeafBase> bases, float spread);
 
@@ -59,7 +53,6 @@ class LeafBases {
 std::vector<LeafBases> findLeafBases(const std::vector<Eigen::Vector3f>& points,
                                      const std::vector<std::vector<std::uint32_t>>& members,
                                      const std::vector<const Midline*>& midlines,
-                                     const ComputeDevice& device,
-                                     LeafSearchEffort effort = LeafSearchEffort::kFull);
+                                     const ComputeDevice& device);
 
 }  // namespace field_phenotyping
