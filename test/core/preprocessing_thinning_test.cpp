@@ -104,7 +104,8 @@ TEST(Thinning, FeetAreThinnedToTheSameVoxels) {
     EXPECT_LT((feet.points[dense.thinned[all + i] - cloud.size()] - before[i]).norm(), 0.03F);
   }
   PointCloud few = layer(1000.0);
-  EXPECT_TRUE(thin(few, feet, no_isolated, 20000.0, kEdge).empty()) << "where the cloud is not, they are not";
+  EXPECT_TRUE(thin(few, feet, no_isolated, 20000.0, kEdge).empty())
+      << "where the cloud is not, they are not";
 }
 
 TEST(Thinning, ColoursAndTheSensorsPlacesStayWithTheirPoints) {
