@@ -510,6 +510,34 @@ std::vector<Phenotype> measureRow(const PlantTruth& odd, bool doubled,
   return measureBlock(builder.completed(), parameters);
 }
 
+TEST(Measurement, RoughFitsUnlikeTheOthersOfTheirBlockAreKnownLessWell) {
+  // Of every third stem of 20 mm a few noisy points that lie round 34 mm: of neighbours, say.
+  BlockBuilder builder;
+  builder.soil(kFlat);
+  const auto isWrong = [](std::uint32_t i) { return i % 3U == 0U; };
+  for (std::uint32_t i = 0; i < 15U; ++i) {
+    PlantTruth truth;
+    truth.points_per_meter = isWrong(i) ? 60 : 600;
+    truth.noise = isWrong(i) ? 0.006 : 0.003;
+    truth.diameter = isWrong(i) ? 0.034 : 0.020;
+    truth.base = {0.1 + 0.13 * i, 1.0};
+    builder.plant(truth, i);
+  }
+  const std::vector<Phenotype> plants = measureBlock(builder.completed(), {});
+  ASSERT_EQ(plants.size(), 15U);
+  for (std::uint32_t i = 0; i < plants.size(); ++i) {
+    const Trait& major = plants[i].stem_diameter;
+    EXPECT_EQ((plants[i].flags & kUnlikeStand) != 0U, isWrong(i)) << i;
+    if (isWrong(i)) {
+      EXPECT_GT(major.value, 0.026) << i << ": values stay as they are";
+      EXPECT_LT(std::abs(major.value - 0.020), 1.96 * major.stddev) << i;
+      EXPECT_GT(plants[i].stem_diameter_equivalent.stddev, 0.004) << i;
+    } else {
+      EXPECT_LT(major.stddev, 0.002) << i;
+    }
+  }
+}
+
 TEST(Measurement, TwoStemsTakenForOneAreSuspected) {
   const std::vector<Phenotype> plain = measureRow(PlantTruth(), false);
   const std::vector<Phenotype> doubled = measureRow(PlantTruth(), true);
