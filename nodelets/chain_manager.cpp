@@ -4,13 +4,7 @@
 #include <nodelet/loader.h>
 #include <ros/ros.h>
 
-#ifdef __GLIBC__
-#include <malloc.h>
-#endif
-
-#include <algorithm>
 #include <string>
-#include <thread>
 
 namespace {
 
@@ -27,30 +21,9 @@ constexpr StageEntry kStages[] = {
     {"preprocessing", "field_phenotyping/Preprocessing", nullptr},
 };
 
-// Free memory between what is kept goes back to the system so often: that takes some milliseconds,
-// in which others wait for memory.
-const ros::WallDuration kTrimInterval(10.0);
-
-void giveBackFreeMemory(const ros::WallTimerEvent&) {
-#ifdef __GLIBC__
-  malloc_trim(0U);
-#endif
-}
-
-/// By itself glibc has eight pools of memory a core, and what little is kept of a block holds on to
-/// pages in all of them. Fewer, of which two threads share one, wait for each other hardly more.
-void keepMemoryTogether() {
-#ifdef __GLIBC__
-  constexpr unsigned kThreadsPerPool = 2U;
-  const unsigned pools = std::max(1U, std::thread::hardware_concurrency() / kThreadsPerPool);
-  mallopt(M_ARENA_MAX, static_cast<int>(pools));
-#endif
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
-  keepMemoryTogether();
   ros::init(argc, argv, "manager");
   const ros::NodeHandle pnh("~");
   const std::string points_topic = pnh.param<std::string>("points_topic", "/points");
@@ -63,8 +36,6 @@ int main(int argc, char** argv) {
       return 1;
     }
   }
-  ros::NodeHandle nh;
-  const ros::WallTimer trimming = nh.createWallTimer(kTrimInterval, giveBackFreeMemory);
   ros::spin();
   return 0;
 }
