@@ -5,6 +5,7 @@
 #include <cstddef>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/normal_distribution.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -24,9 +25,6 @@ constexpr double kRoughFit = 0.06;
 
 double square(double value) {
   return value * value;
-}
-double density(double deviation, double variance) {
-  return std::exp(-0.5 * square(deviation) / variance) / std::sqrt(2.0 * M_PI * variance);
 }
 
 /// What a stand's diameters are like.
@@ -52,8 +50,8 @@ Kind kindOf(const Trait& diameter, const Stand& stand) {
   const double deviation = diameter.value - stand.mean;
   const double narrow = stand.variance + square(diameter.stddev);
   const double wrong_share = stand.wrong_share * roughness(diameter, stand);
-  const double of_stand = density(deviation, narrow);
-  const double anything = density(deviation, narrow + stand.wideVariance());
+  const double of_stand = normalDensity(deviation, std::sqrt(narrow));
+  const double anything = normalDensity(deviation, std::sqrt(narrow + stand.wideVariance()));
   const double usual = (1.0 - wrong_share) * (1.0 - kOddPlants) * of_stand;
   const double odd = (1.0 - wrong_share) * kOddPlants * anything;
   const double wrong = wrong_share * anything;

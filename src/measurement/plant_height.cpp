@@ -19,12 +19,19 @@ struct End {
   double spacing = 0.0;  ///< mean spacing in height of the outermost points; 0 of a single point
 };
 
+/// @param order of heights, the outermost first
 template <class Order>
-End endOf(std::vector<float>& heights, const Order& order) {
+End endOf(const SegmentedBlock& block, const Plant& plant, const Order& order) {
+  End end;
+  std::vector<float> heights;
+  heights.reserve(plant.points.size());
+  for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
+    heights.push_back(block.cloud.points[i].z());
+  }
   const std::size_t count = std::min(kSpacings + 1U, heights.size());
+  if (count == 0U) return end;
   std::partial_sort(heights.begin(), heights.begin() + static_cast<std::ptrdiff_t>(count),
                     heights.end(), order);
-  End end;
   end.z = heights.front();
   if (count > 1U) {
     end.spacing = std::abs(heights.front() - heights[count - 1U]) / static_cast<double>(count - 1U);
@@ -32,30 +39,24 @@ End endOf(std::vector<float>& heights, const Order& order) {
   return end;
 }
 
-/// Both ends of a plant. There must be points.
-struct Ends {
-  End top;
-  End bottom;
-};
-
-Ends endsOf(const SegmentedBlock& block, const Plant& plant) {
-  std::vector<float> heights;
-  heights.reserve(plant.points.size());
-  for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
-    heights.push_back(block.cloud.points[i].z());
-  }
-  Ends ends;
-  ends.top = endOf(heights, std::greater<float>());
-  ends.bottom = endOf(heights, std::less<float>());
+/// That end of each plant.
+template <class Order>
+std::vector<End> endsOf(const SegmentedBlock& block, const Order& order) {
+  std::vector<End> ends(block.plants.size());
+  parallelFor(ends.size(), [&](std::size_t i) { ends[i] = endOf(block, block.plants[i], order); });
   return ends;
 }
 
 /// How far plants of a stand go on beyond their outermost points.
 class Overhang {
  public:
-  /// @param spacings of the plants' outermost points [m]
-  explicit Overhang(std::vector<double> spacings) {
+  /// @param ends of the block's plants, in their order
+  Overhang(const SegmentedBlock& block, const std::vector<End>& ends) {
     constexpr std::size_t kFewest = 5U;
+    std::vector<double> spacings;
+    for (std::size_t i = 0; i < ends.size(); ++i) {
+      if (block.plants[i].points.size() > kSpacings) spacings.push_back(ends[i].spacing);
+    }
     if (spacings.size() < kFewest) return;
     // A point of a neighbour above a plant is no spacing: nearly no mean of three exponentially
     // distributed ones is so far above the median.
@@ -90,32 +91,26 @@ class Overhang {
 
 std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
                                              const MeasurementParameters& parameters) {
-  std::vector<Ends> ends(block.plants.size());
-  parallelFor(ends.size(), [&](std::size_t i) {
-    if (!block.plants[i].points.empty()) ends[i] = endsOf(block, block.plants[i]);
-  });
-  std::vector<double> above, below;
-  for (std::size_t i = 0; i < ends.size(); ++i) {
-    if (block.plants[i].points.size() <= kSpacings) continue;
-    above.push_back(ends[i].top.spacing);
-    below.push_back(ends[i].bottom.spacing);
-  }
-  const Overhang top_overhang(std::move(above)), bottom_overhang(std::move(below));
+  const bool soil = block.ground.observed();
+  const std::vector<End> tops = endsOf(block, std::greater<float>());
+  const Overhang above(block, tops);
+  // Where there is soil it says where plants begin.
+  const std::vector<End> bottoms = soil ? std::vector<End>() : endsOf(block, std::less<float>());
+  const Overhang below(block, bottoms);
   const double corrected = parameters.mode == "paper" ? 0.0 : 1.0;
 
   std::vector<PlantHeight> heights(block.plants.size());
   for (std::size_t i = 0; i < heights.size(); ++i) {
     const Plant& plant = block.plants[i];
     PlantHeight& result = heights[i];
-    const bool soil = block.ground.observed();
     if (!soil) {
       result.flags |= kGroundMissing;
     } else if (!block.ground.seenAt(plant.base.x(), plant.base.y())) {
       result.flags |= kGroundExtrapolated;
     }
     if (plant.points.empty()) continue;
-    const Trait above_top = top_overhang.of(ends[i].top);
-    const double top = ends[i].top.z + corrected * above_top.value;
+    const Trait above_top = above.of(tops[i]);
+    const double top = tops[i].z + corrected * above_top.value;
     if (soil) {
       result.height.value = top - block.ground.heightAt(plant.base.x(), plant.base.y());
       // Between the plants soil looks smoother than it is known under one.
@@ -124,8 +119,8 @@ std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
           static_cast<double>(block.ground.stddevAt(plant.base.x(), plant.base.y()));
       result.height.stddev = std::hypot(above_top.stddev, std::max(soil_error, kLeastSoilError));
     } else {
-      const Trait below_bottom = bottom_overhang.of(ends[i].bottom);
-      result.height.value = top - ends[i].bottom.z + corrected * below_bottom.value;
+      const Trait below_bottom = below.of(bottoms[i]);
+      result.height.value = top - bottoms[i].z + corrected * below_bottom.value;
       result.height.stddev = std::hypot(above_top.stddev, below_bottom.stddev);
     }
   }

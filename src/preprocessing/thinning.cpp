@@ -105,13 +105,13 @@ DensePoints thin(PointCloud& cloud, PointCloud& feet, PointCloud& isolated, doub
   double width = kFirst * edge;
   while (width < least) width *= kStep;
   Voxels voxels = voxelsOf(cloud.points, static_cast<float>(width));
-  const auto too_many = [&] {
+  const auto tooMany = [&] {
     return static_cast<double>(voxels.first.size()) > most && kStep * width <= kWidest;
   };
-  while (too_many()) {
+  while (tooMany()) {
     // One point of each voxel lies in nearly as many wider ones as all do, never in more.
     std::vector<Eigen::Vector3f> of_each = pointsAt(cloud.points, voxels.first);
-    while (too_many()) {
+    while (tooMany()) {
       width *= kStep;
       voxels = voxelsOf(of_each, static_cast<float>(width));
       of_each = pointsAt(of_each, voxels.first);

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <optional>
 
 #include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/robust_spread.hpp"
@@ -120,33 +121,43 @@ float reachOfPlants(const Block& block, const NeighborGrid& grid) {
   return farthest;
 }
 
+/// The nearest of the points that count within `reach`; none where there is none.
+template <class Counts>
+std::optional<std::uint32_t> nearestWithin(const NeighborGrid& grid, const Eigen::Vector3f& place,
+                                           float reach, const Counts& counts) {
+  std::optional<std::uint32_t> nearest;
+  float least = std::numeric_limits<float>::infinity();
+  grid.forEachWithin(place, reach, [&](std::uint32_t k, float squared) {
+    if (!counts(k) || !(squared < least)) return;
+    least = squared;
+    nearest = k;
+  });
+  return nearest;
+}
+
 /// Gives the rest of them to the plants that they are next to.
 void giveToPlants(const Block& block, const NeighborGrid& grid, const NeighborGrid& isolated,
                   float reach, const PointOwners& known, PointOwners& owners) {
   const std::vector<Eigen::Vector3f>& points = block.isolated.points;
-  std::vector<std::uint8_t> beside(points.size(), 0U);  // points of the block's cloud
-  for (std::size_t i = 0; i < points.size(); ++i) {
+  std::vector<std::uint32_t> alone;  // next to no point of the block's cloud
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
     if (owners.plant[i] >= 0) continue;
-    float nearest = std::numeric_limits<float>::infinity();
-    grid.forEachWithin(points[i], reach, [&](std::uint32_t k, float squared) {
-      if (!(squared < nearest)) return;
-      nearest = squared;
-      beside[i] = 1U;
-      owners.plant[i] = known.stem[k] >= 0 ? known.stem[k] : known.plant[k];
-    });
+    const auto next = nearestWithin(grid, points[i], reach, [](std::uint32_t) { return true; });
+    if (next) {
+      owners.plant[i] = known.of(*next);
+    } else {
+      alone.push_back(i);
+    }
   }
   // Those of a sparse tip that lie next to such a point only.
   constexpr int kMostInARow = 4;
   for (int round = 0; round < kMostInARow; ++round) {
     const std::vector<std::int32_t> before = owners.plant;
-    for (std::size_t i = 0; i < points.size(); ++i) {
-      if (before[i] >= 0 || beside[i] != 0U) continue;
-      float nearest = std::numeric_limits<float>::infinity();
-      isolated.forEachWithin(points[i], reach, [&](std::uint32_t k, float squared) {
-        if (before[k] < 0 || !(squared < nearest)) return;
-        nearest = squared;
-        owners.plant[i] = before[k];
-      });
+    for (const std::uint32_t i : alone) {
+      if (before[i] >= 0) continue;
+      const auto next = nearestWithin(isolated, points[i], reach,
+                                      [&](std::uint32_t k) { return before[k] >= 0; });
+      if (next) owners.plant[i] = before[*next];
     }
     if (owners.plant == before) break;
   }

@@ -125,10 +125,10 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   constexpr std::size_t kGroups = 2U;  // stem, other organs
   const std::size_t none = kGroups * stems.size();
   std::vector<std::vector<std::uint32_t>> groups(none + 1U);
-  const auto groupOf = [&](const PointOwners& of, std::uint32_t i) {
-    const bool is_stem = of.stem[i] >= 0;
-    const std::int32_t plant = is_stem ? of.stem[i] : of.plant[i];
-    return plant < 0 ? none : kGroups * static_cast<std::size_t>(plant) + (is_stem ? 0U : 1U);
+  const auto groupOf = [&](const PointOwners& owned, std::uint32_t i) {
+    const std::int32_t plant = owned.of(i);
+    return plant < 0 ? none
+                     : kGroups * static_cast<std::size_t>(plant) + (owned.stem[i] >= 0 ? 0U : 1U);
   };
   for (std::uint32_t i = 0; i < block.cloud.size(); ++i) groups[groupOf(owners, i)].push_back(i);
   const auto feet_begin = static_cast<std::uint32_t>(block.cloud.size());

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <vector>
 
@@ -13,6 +14,9 @@ namespace field_phenotyping {
 struct PointOwners {
   std::vector<std::int32_t> stem;   ///< the plant that the point is a stem point of
   std::vector<std::int32_t> plant;  ///< the plant that the point is of, by any organ
+
+  /// The plant that point `i` is of, stem or not.
+  std::int32_t of(std::size_t i) const { return stem[i] >= 0 ? stem[i] : plant[i]; }
 };
 
 /// Finds what belongs to plants among the points that were taken out as outliers,
