@@ -3,7 +3,6 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
-#include <atomic>
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -983,47 +982,85 @@ float stepCost(const Cells& cells, std::uint32_t from, std::uint32_t to, float s
 void growPaths(Cells& cells, const std::vector<Host>& hosts, const LeafForm& form, float reach,
                bool only_tall) {
   constexpr float kLeastMisfit = 0.1F;  // what a step costs through an organ that fits its plant
+  constexpr float kFar = std::numeric_limits<float>::max();
+  /// A cell without an owner.
+  struct Way {
+    float cost = kFar;
+    std::int32_t owner = -1;
+    // Paths of one plant come to a cell from many sides.
+    std::int32_t compared = -1;  // plant that `misfit` is known for
+    float misfit = 0.0F;
+  };
+  /// Leads a path of a plant that has cost so much on to a cell; false where that is no better.
+  const auto lead = [&](std::int32_t plant, float cost, std::uint32_t from, std::uint32_t to,
+                        float squared, Way& way) {
+    if (way.cost <= cost) return false;
+    const float step = stepCost(cells, from, to, squared);
+    if (cost + kLeastMisfit * step >= way.cost) return false;
+    if (way.compared != plant) {
+      const Host& host = hosts[static_cast<std::size_t>(plant)];
+      way.compared = plant;
+      way.misfit = form.misfit(cells.shapes[to], cells.centers[to], host) +
+                   form.tooHigh(cells.centers[to], host);
+    }
+    const float through = cost + step * (kLeastMisfit + way.misfit);
+    if (through >= way.cost) return false;
+    way.cost = through;
+    way.owner = plant;
+    return true;
+  };
+
+  std::vector<std::uint32_t> open_cells;
+  constexpr std::uint32_t kOwned = std::numeric_limits<std::uint32_t>::max();
+  std::vector<std::uint32_t> number(cells.size(), kOwned);  // of each among the open ones
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (cells.owner[n] >= 0 || (only_tall && cells.is_low[n] != 0U)) continue;
+    number[n] = static_cast<std::uint32_t>(open_cells.size());
+    open_cells.push_back(n);
+  }
+  // First steps, out of cells that have an owner, and where paths may go on.
+  struct Step {
+    std::uint32_t way;
+    float squared;  // [m^2]
+  };
   const NeighborGrid grid(cells.centers, reach);
-  std::vector<float> cost(cells.size(), 0.0F);  // 0: has its owner already
-  std::vector<std::atomic<bool>> is_source(cells.size());
-  parallelChunks(cells.size(), kChunk, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t n = begin; n < end; ++n) {
-      if (cells.owner[n] >= 0) continue;
-      if (only_tall && cells.is_low[n] != 0U) continue;
-      cost[n] = std::numeric_limits<float>::max();
-      grid.forEachWithin(cells.centers[n], reach, [&](std::uint32_t near, float) {
-        if (cells.owner[near] >= 0) is_source[near].store(true, std::memory_order_relaxed);
+  std::vector<Way> ways(open_cells.size());
+  std::vector<std::vector<Step>> steps(open_cells.size());
+  parallelChunks(open_cells.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    std::vector<std::pair<std::uint32_t, float>> sources;
+    for (std::size_t k = begin; k < end; ++k) {
+      const std::uint32_t n = open_cells[k];
+      sources.clear();
+      grid.forEachWithin(cells.centers[n], reach, [&](std::uint32_t near, float squared) {
+        if (cells.owner[near] >= 0) {
+          sources.emplace_back(near, squared);
+        } else if (number[near] != kOwned && near != n) {
+          steps[k].push_back({number[near], squared});
+        }
       });
+      std::sort(sources.begin(), sources.end());  // of equals the first
+      for (const auto& [near, squared] : sources) {
+        lead(cells.owner[near], 0.0F, near, n, squared, ways[k]);
+      }
     }
   });
-  // Paths of one plant come to a cell from many sides.
-  std::vector<std::pair<std::int32_t, float>> misfits(cells.size(), {-1, 0.0F});
   Queue open;
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (is_source[n].load(std::memory_order_relaxed)) open.push({0.0F, n});
+  for (std::uint32_t k = 0; k < ways.size(); ++k) {
+    if (ways[k].owner >= 0) open.push({ways[k].cost, k});
   }
   while (!open.empty()) {
-    const Entry entry = open.top();
+    const auto [cost, from] = open.top();
     open.pop();
-    if (entry.cost > cost[entry.node]) continue;
-    const std::int32_t plant = cells.owner[entry.node];
-    const Host& host = hosts[static_cast<std::size_t>(plant)];
-    grid.forEachWithin(cells.centers[entry.node], reach, [&](std::uint32_t next, float squared) {
-      if (cost[next] <= entry.cost) return;
-      const float step = stepCost(cells, entry.node, next, squared);
-      if (entry.cost + kLeastMisfit * step >= cost[next]) return;
-      auto& [of_plant, misfit] = misfits[next];
-      if (of_plant != plant) {
-        of_plant = plant;
-        misfit = form.misfit(cells.shapes[next], cells.centers[next], host) +
-                 form.tooHigh(cells.centers[next], host);
+    if (cost > ways[from].cost) continue;
+    for (const Step& step : steps[from]) {
+      Way& way = ways[step.way];
+      if (lead(ways[from].owner, cost, open_cells[from], open_cells[step.way], step.squared, way)) {
+        open.push({way.cost, step.way});
       }
-      const float through = entry.cost + step * (kLeastMisfit + misfit);
-      if (through >= cost[next]) return;
-      cost[next] = through;
-      cells.owner[next] = plant;
-      open.push({through, next});
-    });
+    }
+  }
+  for (std::size_t k = 0; k < ways.size(); ++k) {
+    if (ways[k].owner >= 0) cells.owner[open_cells[k]] = ways[k].owner;
   }
 }
 
