@@ -1,10 +1,35 @@
 #include "field_phenotyping/segmentation/stem_curve.hpp"
 
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <numeric>
+#include <utility>
+
 namespace field_phenotyping {
 
 void sortByHeight(std::vector<Sample>& samples) {
-  std::sort(samples.begin(), samples.end(),
-            [](const Sample& a, const Sample& b) { return a.height < b.height; });
+  const auto isLower = [](const Sample& a, const Sample& b) { return a.height < b.height; };
+  const auto [lowest, highest] = std::minmax_element(samples.begin(), samples.end(), isLower);
+  if (samples.empty() || !(lowest->height < highest->height)) return;
+  // First to levels that hold about one of them, which takes no comparisons.
+  const double low = lowest->height;
+  const std::size_t levels = samples.size();
+  const double levels_per_metre = static_cast<double>(levels - 1U) / (highest->height - low);
+  const auto levelOf = [&](const Sample& sample) {
+    return static_cast<std::size_t>((sample.height - low) * levels_per_metre);
+  };
+  std::vector<std::uint32_t> end(levels + 1U, 0U);  // of each level, once they are filled
+  for (const Sample& sample : samples) ++end[levelOf(sample) + 1U];
+  std::partial_sum(end.begin(), end.end(), end.begin());
+  std::vector<Sample> sorted(samples.size());
+  for (const Sample& sample : samples) sorted[end[levelOf(sample)]++] = sample;
+  for (std::size_t level = 0; level < levels; ++level) {
+    const std::uint32_t begin = level == 0U ? 0U : end[level - 1U];
+    if (end[level] - begin < 2U) continue;
+    std::sort(sorted.begin() + begin, sorted.begin() + end[level], isLower);
+  }
+  samples.swap(sorted);
 }
 
 StemCurve curveAlong(const StemAxis& axis, const ChordFrame& frame, double spacing) {
