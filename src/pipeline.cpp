@@ -127,10 +127,16 @@ class VoxelLabels {
   std::map<BlockIndex, std::vector<LabelledVoxel>> labelsOf(const LabelledBlock& labelled) const {
     std::map<BlockIndex, std::vector<LabelledVoxel>> labels;
     const SegmentedBlock& block = *labelled.block;
+    BlockIndex tile;
+    std::vector<LabelledVoxel>* of_tile = nullptr;  // where the last one went: most follow it there
     const auto note = [&](const Eigen::Vector3f& point, const PointLabel& label) {
       const Eigen::Vector3d p = block.cloud.origin + point.cast<double>();
-      const BlockIndex tile = map_.tileAt(p.x(), p.y());
-      labels[tile].push_back({keyOf(p, tile), label});
+      const BlockIndex at = map_.tileAt(p.x(), p.y());
+      if (of_tile == nullptr || !(at == tile)) {
+        tile = at;
+        of_tile = &labels[tile];
+      }
+      of_tile->push_back({keyOf(p, tile), label});
     };
     std::vector<PointLabel> of_source(labelled.dense.points.size());  // more than there are
     for (const Plant& plant : block.plants) {

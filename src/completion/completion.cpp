@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/completion/stem_completion.hpp"
 
 namespace field_phenotyping {
@@ -56,25 +57,27 @@ CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
   CompletedBlock completed;
   completed.synthetic.origin = segmented->cloud.origin;
   completed.synthetic_span.reserve(plants.size());
-  std::size_t points = 0U;
-  std::size_t colors = 0U;
-  for (const CompletedStem& stem : stems) {
-    points += stem.points.size();
-    colors += stem.colors.size();
-  }
-  completed.synthetic.points.reserve(points);
-  completed.synthetic.colors.reserve(colors);
-  completed.synthetic_stddev.reserve(points);
+  std::uint32_t points = 0U;
+  bool has_colors = false;
   for (CompletedStem& stem : stems) {
-    PointCloud& cloud = completed.synthetic;
-    const auto begin = static_cast<std::uint32_t>(cloud.size());
-    cloud.points.insert(cloud.points.end(), stem.points.begin(), stem.points.end());
-    cloud.colors.insert(cloud.colors.end(), stem.colors.begin(), stem.colors.end());
-    completed.synthetic_stddev.insert(completed.synthetic_stddev.end(), stem.stddev.begin(),
-                                      stem.stddev.end());
-    completed.synthetic_span.push_back({begin, static_cast<std::uint32_t>(cloud.size())});
+    const std::uint32_t begin = points;
+    points += static_cast<std::uint32_t>(stem.points.size());
+    has_colors = has_colors || !stem.colors.empty();
+    completed.synthetic_span.push_back({begin, points});
     completed.stems.push_back(std::move(stem.solution));
   }
+  completed.synthetic.points.resize(points);
+  if (has_colors) completed.synthetic.colors.resize(points);
+  completed.synthetic_stddev.resize(points);
+  parallelFor(stems.size(), [&](std::size_t s) {
+    const auto begin = static_cast<std::ptrdiff_t>(completed.synthetic_span[s].begin);
+    const auto place = [&](const auto& values, auto& all) {
+      std::copy(values.begin(), values.end(), all.begin() + begin);
+    };
+    place(stems[s].points, completed.synthetic.points);
+    place(stems[s].colors, completed.synthetic.colors);
+    place(stems[s].stddev, completed.synthetic_stddev);
+  });
   completed.segmented = std::move(segmented);
   return completed;
 }

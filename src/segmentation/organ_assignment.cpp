@@ -49,47 +49,61 @@ Cells gatherCells(const Block& block, const std::vector<std::int32_t>& owner, fl
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   Eigen::Array3f low = points.front().array();
   for (const Eigen::Vector3f& p : points) low = low.min(p.array());
-  std::vector<std::pair<std::uint64_t, std::uint32_t>> order(points.size());  // by cell, point
   constexpr unsigned kLevelBits = 42U;  // of a cell's number: its level, 21 bits each for y and x
-  std::vector<std::size_t> begin;       // of each level
-  const auto levelOf = [&](const Eigen::Vector3f& p) {
-    return static_cast<std::size_t>((p.z() - low.z()) / kCell);
-  };
-  for (const Eigen::Vector3f& p : points) {
-    const std::size_t level = levelOf(p);
+  std::vector<std::uint64_t> number(points.size());  // of each point's cell
+  constexpr std::size_t kPoints = 16384U;            // of a task
+  parallelChunks(points.size(), kPoints, [&](std::size_t begin_point, std::size_t end_point) {
+    for (std::size_t i = begin_point; i < end_point; ++i) {
+      const Eigen::Array3i cell = ((points[i].array() - low) / kCell).cast<int>();
+      number[i] = static_cast<std::uint64_t>(cell.z()) << kLevelBits |
+                  static_cast<std::uint64_t>(cell.y()) << 21U |
+                  static_cast<std::uint64_t>(cell.x());
+    }
+  });
+  std::vector<std::size_t> begin;  // of each level
+  for (const std::uint64_t of_point : number) {
+    const std::size_t level = of_point >> kLevelBits;
     if (begin.size() < level + 2U) begin.resize(level + 2U, 0U);
     ++begin[level + 1U];
   }
   std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  std::vector<std::pair<std::uint64_t, std::uint32_t>> order(points.size());  // by cell, point
   std::vector<std::size_t> next = begin;
   for (std::uint32_t i = 0; i < points.size(); ++i) {
-    const Eigen::Array3i cell = ((points[i].array() - low) / kCell).cast<int>();
-    order[next[levelOf(points[i])]++] = {static_cast<std::uint64_t>(cell.z()) << kLevelBits |
-                                             static_cast<std::uint64_t>(cell.y()) << 21U |
-                                             static_cast<std::uint64_t>(cell.x()),
-                                         i};
+    order[next[number[i] >> kLevelBits]++] = {number[i], i};
   }
-  parallelFor(begin.size() - 1U, [&](std::size_t level) {
+  const std::size_t levels = begin.size() - 1U;
+  std::vector<std::uint32_t> first_cell(levels + 1U, 0U);  // of each level
+  const auto beginsCell = [&](std::size_t level, std::size_t k) {
+    return k == begin[level] || order[k].first != order[k - 1U].first;
+  };
+  parallelFor(levels, [&](std::size_t level) {
     std::sort(order.begin() + static_cast<std::ptrdiff_t>(begin[level]),
               order.begin() + static_cast<std::ptrdiff_t>(begin[level + 1U]));
+    for (std::size_t k = begin[level]; k < begin[level + 1U]; ++k) {
+      if (beginsCell(level, k)) ++first_cell[level + 1U];
+    }
   });
+  std::partial_sum(first_cell.begin(), first_cell.end(), first_cell.begin());
 
   Cells cells;
   cells.shape_radius = shape_radius;
   cells.of_point.resize(points.size());
-  std::vector<float> counts;
-  for (std::size_t k = 0; k < order.size(); ++k) {
-    const std::uint32_t i = order[k].second;
-    if (k == 0 || order[k].first != order[k - 1].first) {
-      cells.centers.emplace_back(Eigen::Vector3f::Zero());
-      cells.owner.push_back(-1);
-      counts.push_back(0.0F);
+  cells.centers.assign(first_cell.back(), Eigen::Vector3f::Zero());
+  cells.owner.assign(cells.size(), -1);
+  std::vector<float> counts(cells.size(), 0.0F);
+  parallelFor(levels, [&](std::size_t level) {
+    std::uint32_t after = first_cell[level];  // the cell that is being filled
+    for (std::size_t k = begin[level]; k < begin[level + 1U]; ++k) {
+      if (beginsCell(level, k)) ++after;
+      const std::uint32_t cell = after - 1U;
+      const std::uint32_t i = order[k].second;
+      cells.of_point[i] = cell;
+      cells.centers[cell] += points[i];
+      counts[cell] += 1.0F;
+      if (cells.owner[cell] < 0) cells.owner[cell] = owner[i];
     }
-    cells.of_point[i] = cells.size() - 1U;
-    cells.centers.back() += points[i];
-    counts.back() += 1.0F;
-    if (cells.owner.back() < 0) cells.owner.back() = owner[i];
-  }
+  });
   cells.is_stem.resize(cells.size());
   cells.is_low.resize(cells.size());
   parallelChunks(cells.size(), kChunk, [&](std::size_t begin_cell, std::size_t end_cell) {

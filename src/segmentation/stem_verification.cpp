@@ -226,9 +226,12 @@ float priorOf(double odds) {
 }  // namespace
 
 Canopy::Canopy(const Block& block) : ground_(block.ground) {
+  auto at = columns_.end();  // most points follow another one of their column
   for (const Eigen::Vector3f& point : block.cloud.points) {
     const float height = ground_.heightAbove(point);
-    Column& column = columns_[columnOf(point)];
+    const std::pair<int, int> place = columnOf(point);
+    if (at == columns_.end() || at->first != place) at = columns_.try_emplace(place).first;
+    Column& column = at->second;
     column.height = std::max(column.height, height);
     const std::size_t layer = layerOf(height);
     if (layer >= column.counts.size()) column.counts.resize(layer + 1U, 0U);
