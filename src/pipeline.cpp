@@ -274,11 +274,20 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
   PlantRegistry registry;
   for (const auto& block : segmented) registry.identify(*block);
 
-  // 2.5, 2.7, 2.8.
+  std::vector<LabelledBlock> labelled(due.size());
+  for (std::size_t b = 0; b < due.size(); ++b) labelled[b] = {segmented[b], std::move(dense[b])};
+  VoxelLabels voxel_labels(preprocessing, tiling.corner);
+  if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
+
+  // 2.5, 2.7, 2.8; and beside them, for it takes one core, what the voxels are of.
   PipelineResult result;
   result.blocks.resize(due.size());
   std::vector<std::vector<Phenotype>> measured(due.size());
-  parallelFor(due.size(), [&](std::size_t b) {
+  parallelFor(due.size() + 1U, [&](std::size_t b) {
+    if (b == due.size()) {
+      voxel_labels.add(labelled);
+      return;
+    }
     Clock::time_point stage_start = Clock::now();
     auto completed = std::make_shared<CompletedBlock>(
         completeBlock(segmented[b], parameters.completion, nullptr, completion_device));
@@ -289,11 +298,6 @@ PipelineResult phenotypeCloud(const PointCloud& cloud, const Parameters& paramet
     result.blocks[b] = std::move(completed);
   });
 
-  VoxelLabels voxel_labels(preprocessing, tiling.corner);
-  if (!segmented.empty()) voxel_labels.setHeightDatum(segmented.front()->cloud.origin.z());
-  std::vector<LabelledBlock> labelled(due.size());
-  for (std::size_t b = 0; b < due.size(); ++b) labelled[b] = {segmented[b], std::move(dense[b])};
-  voxel_labels.add(labelled);
   for (std::size_t b = 0; b < due.size(); ++b) {
     result.plants.insert(result.plants.end(), measured[b].begin(), measured[b].end());
     if (has_soil[b] == 0U) ++result.blocks_without_soil;
