@@ -14,6 +14,7 @@
 #include "field_phenotyping/completion/bilateral_filter.hpp"
 #include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/surface_prior.hpp"
+#include "field_phenotyping/measurement/plant_height.hpp"
 #include "field_phenotyping/measurement/stem_cross_section.hpp"
 #include "field_phenotyping/pipeline.hpp"
 #include "field_phenotyping/preprocessing/ground_estimation.hpp"
@@ -399,6 +400,30 @@ TEST_F(Gpu, LeafBasesAreTheSameBitForBit) {
   }
   EXPECT_GT(bases, 200U);
   EXPECT_TRUE(findLeafBases(points, {}, {}, device_).empty());
+}
+
+TEST_F(Gpu, HeightsAreTheSameBitForBit) {
+  SegmentedBlock block;
+  block.cloud.points = plantsAndNoise(60000U, 23U, 4.0F);
+  std::uint32_t begin = 0U;
+  for (std::uint32_t size = 0U; begin + size <= block.cloud.size();
+       size = size < 8U ? size + 1U : 2U * size) {
+    Plant plant;
+    plant.points = {begin, begin + size};
+    block.plants.push_back(plant);
+    begin += size;
+  }
+  const std::vector<PlantHeight> on_cpu = measurePlantHeights(block, {});  // no soil: both ends
+  for (int run = 0; run < 2; ++run) {
+    const std::vector<PlantHeight> on_gpu = measurePlantHeights(block, {}, device_);
+    ASSERT_EQ(on_gpu.size(), on_cpu.size());
+    for (std::size_t i = 1; i < on_cpu.size(); ++i) {  // the first has no points
+      EXPECT_EQ(on_gpu[i].height.value, on_cpu[i].height.value) << i;
+      EXPECT_EQ(on_gpu[i].height.stddev, on_cpu[i].height.stddev) << i;
+    }
+  }
+  EXPECT_EQ(device_.use().gpu_steps, 4U) << "two times two ends";
+  EXPECT_TRUE(measurePlantHeights({}, {}, device_).empty());
 }
 
 TEST_F(Gpu, TheWholePipelineIsTheSame) {
