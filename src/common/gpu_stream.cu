@@ -30,6 +30,20 @@ void checkGpu(cudaError_t result, const char* what) {
       !isPassing(result));
 }
 
+std::size_t allowSharedMemory(const void* kernel) {
+  int device = 0;
+  int most = 0;
+  cudaFuncAttributes attributes;
+  checkGpu(cudaGetDevice(&device), "number of the GPU");
+  checkGpu(cudaDeviceGetAttribute(&most, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
+           "shared memory of the GPU");
+  checkGpu(cudaFuncGetAttributes(&attributes, kernel), "attributes of a kernel");
+  const int dynamic = most - static_cast<int>(attributes.sharedSizeBytes);
+  checkGpu(cudaFuncSetAttribute(kernel, cudaFuncAttributeMaxDynamicSharedMemorySize, dynamic),
+           "shared memory of a kernel");
+  return static_cast<std::size_t>(dynamic);
+}
+
 void* DeviceMemory::allocate(std::size_t bytes) {
   void* memory = nullptr;
   checkGpu(cudaMalloc(&memory, bytes), "allocation of GPU memory");

@@ -20,6 +20,15 @@ inline void checkLaunch(const char* kernel) {
   checkGpu(cudaGetLastError(), kernel);
 }
 
+/// Lets a kernel have as much dynamic shared memory as the device has for one thread block; gives
+/// back how much that is [bytes]. Always as much: blocks in flight launch the same kernel.
+/// @throws GpuError
+std::size_t allowSharedMemory(const void* kernel);
+template <class... Parameters>
+std::size_t allowSharedMemory(void (*kernel)(Parameters...)) {
+  return allowSharedMemory(reinterpret_cast<const void*>(kernel));
+}
+
 /// Memory of the device. Move only.
 struct DeviceMemory {
   static void* allocate(std::size_t bytes);

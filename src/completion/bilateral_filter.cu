@@ -7,8 +7,8 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr unsigned kThreads = 128U;  // 32 rows at once, about as many as a region has
-constexpr std::size_t kGroups = kThreads / kLanes;
+constexpr unsigned kLeastThreads = 32U;
+constexpr unsigned kMostThreads = 128U;  // 32 rows at once, about as many as a region has
 
 /// Where what belongs to one filter begins.
 struct Begin {
@@ -33,7 +33,7 @@ struct DeviceMemoryOfFilters {
 };
 
 /// One thread block for each filter.
-__global__ void __launch_bounds__(kThreads) solveFilters(DeviceMemoryOfFilters memory) {
+__global__ void __launch_bounds__(kMostThreads) solveFilters(DeviceMemoryOfFilters memory) {
   extern __shared__ double rows[];
   FilterTask task = memory.tasks[blockIdx.x];
   const Begin& begin = memory.begins[blockIdx.x];
@@ -78,12 +78,15 @@ GpuFilters filtersOnGpu(GpuStream& stream, const std::vector<FilterTask>& tasks)
   memory.is_read = stream.device<unsigned char>(sums);
   memory.nodes = stream.device<FilterNode>(nodes);
   memory.colors = stream.device<FilterColor>(nodes);
-  // More than the device has is refused, and the CPU does it.
-  const std::size_t near_bytes = kGroups * widest * sizeof(double);
-  checkGpu(cudaFuncSetAttribute(solveFilters, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                static_cast<int>(near_bytes)),
-           "shared memory of a kernel");
-  solveFilters<<<static_cast<unsigned>(tasks.size()), kThreads, near_bytes, stream.get()>>>(memory);
+  // Fewer rows at once where they are wide.
+  const std::size_t most_bytes = allowSharedMemory(solveFilters);
+  const auto nearBytes = [&](unsigned threads) {
+    return threads / kLanes * widest * sizeof(double);
+  };
+  unsigned threads = kMostThreads;
+  while (threads > kLeastThreads && nearBytes(threads) > most_bytes) threads /= 2U;
+  solveFilters<<<static_cast<unsigned>(tasks.size()), threads, nearBytes(threads), stream.get()>>>(
+      memory);
   checkLaunch("filters of stems");
   result.nodes = stream.toHost(memory.nodes, nodes);
   result.colors = stream.toHost(memory.colors, nodes);

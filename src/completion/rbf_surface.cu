@@ -88,9 +88,7 @@ const double* readSurfacesOnGpu(GpuStream& stream, const std::vector<RbfReading>
   memory.matrices = stream.device<double>(matrices);
   memory.near_matrix = static_cast<int>(kNearBytes / sizeof(double));
   memory.values = stream.device<double>(places.size());
-  checkGpu(cudaFuncSetAttribute(readSurfaces, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                static_cast<int>(kNearBytes)),
-           "shared memory of a kernel");
+  allowSharedMemory(readSurfaces);
   readSurfaces<<<static_cast<unsigned>(readings.size()), kThreads, kNearBytes, stream.get()>>>(
       memory);
   checkLaunch("surfaces of stems");

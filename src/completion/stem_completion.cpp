@@ -387,9 +387,18 @@ void solveTogether(const std::vector<std::unique_ptr<StemInWork>>& stems,
     if (solvers[i]->surface() != nullptr) surfaces.push_back(solvers[i]->surface());
   }
   const std::vector<std::vector<double>> deviations = readSurfaces(surfaces, device);
+  std::vector<const GapsToFill*> gaps;
+  std::vector<std::size_t> gaps_of(tasks.size());
+  for (std::size_t i = 0; i < tasks.size(); ++i) {
+    gaps_of[i] = gaps.size();
+    if (solvers[i]->gaps() != nullptr) gaps.push_back(solvers[i]->gaps());
+  }
+  const std::vector<GapSamples> samples = sampleGaps(gaps, device);
   parallelFor(tasks.size(), [&](std::size_t i) {
     const bool has_surface = solvers[i]->surface() != nullptr;
-    solvers[i]->fill(has_surface ? deviations[surface_of[i]] : std::vector<double>());
+    const bool has_gaps = solvers[i]->gaps() != nullptr;
+    solvers[i]->fill(has_surface ? deviations[surface_of[i]] : std::vector<double>(),
+                     has_gaps ? samples[gaps_of[i]] : GapSamples());
   });
   std::vector<const FilterToSolve*> to_filter;
   std::vector<std::size_t> filter_of(tasks.size());

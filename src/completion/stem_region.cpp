@@ -150,17 +150,20 @@ class RegionSolver::Work {
     gather();
     region_.no_surface = !isOneSurface();
     if (!region_.no_surface) describe();
+    describeGaps();
   }
 
   const RbfToRead* surface() const { return surface_ ? &*surface_ : nullptr; }
 
-  void fill(const std::vector<double>& deviations) {
+  const GapsToFill* gaps() const { return region_.no_surface ? nullptr : &gaps_; }
+
+  void fill(const std::vector<double>& deviations, const GapSamples& samples) {
     if (region_.no_surface) return;
     for (std::size_t i = 0; i < deviations.size(); ++i) {
       map_.nodes()[read_nodes_[i]].deviation = deviations[i];
     }
     setMisfit();
-    fillGaps();
+    fillGaps(samples);
     repair();
     prepareFilter();
   }
@@ -195,10 +198,10 @@ class RegionSolver::Work {
     // Beside the region only those count that are as near as the density asks for.
     const double reach = 1.0 / std::sqrt(std::max(model_.density, 1.0));
     const auto [first_place, end_place] = measured.placesOf(first, last);
-    places_.reserve(end_place - first_place);
+    gaps_.measured.reserve(end_place - first_place);
     for (std::size_t i = first_place; i < end_place; ++i) {
       const SurfacePosition& place = measured.places()[i];
-      if (place.s > begin_ - reach && place.s < end_ + reach) places_.push_back(place);
+      if (place.s > begin_ - reach && place.s < end_ + reach) gaps_.measured.push_back(place);
     }
   }
 
@@ -303,11 +306,16 @@ class RegionSolver::Work {
     }
   }
 
-  FillRange range() const {
-    FillRange range = model_.range;
-    range.begin = begin_;
-    range.end = end_;
-    return range;
+  /// Where points are missing. The places are there already.
+  void describeGaps() {
+    gaps_.range = model_.range;
+    gaps_.range.begin = begin_;
+    gaps_.range.end = end_;
+    gaps_.density = model_.density;
+    gaps_.shape.radius = [&prior = model_.prior](double s) { return prior.meanRadiusAt(s); };
+    gaps_.shape.ellipse = model_.prior.ellipse();
+    gaps_.mean_radius = model_.prior.meanRadius();
+    gaps_.first_row = firstRow();
   }
 
   long firstRow() const {
@@ -321,24 +329,13 @@ class RegionSolver::Work {
     return !(most > 0.0) || node.variance <= most * most;
   }
 
-  /// Step 3: where points are missing, and how many (Eq 22).
-  void fillGaps() {
-    StemShape shape;
-    shape.radius = [this](double s) { return model_.prior.meanRadiusAt(s); };
-    shape.ellipse = model_.prior.ellipse();
-    shape_ = shape;
-    std::vector<SurfacePosition> places;
-    for (const GapRegion& gap : findGaps(places_, range(), model_.density, shape_,
-                                         model_.prior.meanRadius(), firstRow())) {
-      const double count = expectedPoints(gap, model_.density, model_.prior.meanRadius());
-      sampleRegion(gap, count, places);
-      constexpr double kLeaky = 0.95;  // of the density: fewer points leave holes
-      if (count < kLeaky * model_.density * gap.area) may_have_holes_ = true;
-    }
-    filled_.reserve(places.size());
+  /// Step 3: the points that are missing, as far as the surface is known there.
+  void fillGaps(const GapSamples& samples) {
+    may_have_holes_ = samples.may_have_holes;
+    filled_.reserve(samples.places.size());
     CoarseMap::Row row;
     double row_s = std::numeric_limits<double>::quiet_NaN();
-    for (const SurfacePosition& place : places) {
+    for (const SurfacePosition& place : samples.places) {
       if (!mayFill(place.s)) continue;
       if (place.s != row_s) {
         row_s = place.s;
@@ -361,9 +358,7 @@ class RegionSolver::Work {
       return !(std::abs(point.deviation) <= most_deviation);
     });
     if (!may_have_holes_ && !has_folds) return;
-    const std::vector<GapRegion> defects =
-        findDefects(places_, filled_, most_deviation, range(), model_.density, shape_,
-                    model_.prior.meanRadius(), firstRow());
+    const std::vector<GapRegion> defects = findDefects(gaps_, filled_, most_deviation);
     if (defects.empty()) return;
     std::vector<CompletedPoint> all = filled_;
     for (const SurfaceSample& sample : samples_) {
@@ -470,9 +465,8 @@ class RegionSolver::Work {
   double begin_;
   double end_;
   long index_;
-  StemShape shape_;
   std::vector<const MeasuredSurface::Cell*> cells_;
-  std::vector<SurfacePosition> places_;
+  GapsToFill gaps_;
   std::vector<SurfaceSample> samples_;
   SurfaceIndex index_of_cells_;
   CoarseMap map_;
@@ -516,8 +510,12 @@ const RbfToRead* RegionSolver::surface() const {
   return work_->surface();
 }
 
-void RegionSolver::fill(const std::vector<double>& deviations) {
-  work_->fill(deviations);
+const GapsToFill* RegionSolver::gaps() const {
+  return work_->gaps();
+}
+
+void RegionSolver::fill(const std::vector<double>& deviations, const GapSamples& samples) {
+  work_->fill(deviations, samples);
 }
 
 const FilterToSolve* RegionSolver::filter() const {
@@ -531,7 +529,9 @@ StemRegion RegionSolver::finish(BilateralFilter filter) {
 StemRegion solveRegion(const StemModel& model, long index) {
   RegionSolver solver(model, index);
   const RbfToRead* surface = solver.surface();
-  solver.fill(surface != nullptr ? readSurface(*surface) : std::vector<double>());
+  const GapsToFill* gaps = solver.gaps();
+  solver.fill(surface != nullptr ? readSurface(*surface) : std::vector<double>(),
+              gaps != nullptr ? sampleGaps(*gaps) : GapSamples());
   const FilterToSolve* filter = solver.filter();
   return solver.finish(filter != nullptr ? BilateralFilter(*filter) : BilateralFilter());
 }

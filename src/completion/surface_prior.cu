@@ -70,9 +70,7 @@ GpuSurfacePriors surfacePriorsOnGpu(GpuStream& stream, const SurfacePriorPieces&
   memory.fitted_curves = stream.device<double>(3U * stems.nodes);
   memory.coefficients = stream.device<double>(kMost * stems.count);
   memory.covariances = stream.device<double>(kMost * kMost * stems.count);
-  checkGpu(cudaFuncSetAttribute(fitPriors, cudaFuncAttributeMaxDynamicSharedMemorySize,
-                                static_cast<int>(kNearBytes)),
-           "shared memory of a kernel");
+  allowSharedMemory(fitPriors);
   fitPriors<<<static_cast<unsigned>(stems.count), kThreads, kNearBytes, stream.get()>>>(memory);
   checkLaunch("coarse models of stems");
   const GpuSurfacePriors result{stream.toHost(memory.fits, stems.count),

@@ -5,18 +5,16 @@
 
 namespace field_phenotyping {
 
-std::vector<GapRegion> findDefects(const std::vector<SurfacePosition>& measured,
-                                   std::vector<CompletedPoint>& filled, double most_deviation,
-                                   const FillRange& range, double density, const StemShape& shape,
-                                   double mean_radius, long first_row) {
+std::vector<GapRegion> findDefects(const GapsToFill& given, std::vector<CompletedPoint>& filled,
+                                   double most_deviation) {
   filled.erase(std::remove_if(filled.begin(), filled.end(),
                               [&](const CompletedPoint& point) {
                                 return !(std::abs(point.deviation) <= most_deviation);
                               }),
                filled.end());
-  std::vector<SurfacePosition> all = measured;
-  for (const CompletedPoint& point : filled) all.push_back(point.position);
-  return findGaps(all, range, density, shape, mean_radius, first_row);
+  GapsToFill left = given;
+  for (const CompletedPoint& point : filled) left.measured.push_back(point.position);
+  return findGaps(left);
 }
 
 std::vector<CompletedPoint> repairDefect(const GapRegion& defect,

@@ -62,20 +62,6 @@ __global__ void fitPieces(const CrossSectionPiece* pieces, const double* places,
                     fits[blockIdx.x]);
 }
 
-/// Bytes of shared memory that a thread block of fitPieces() can have.
-std::size_t mostSharedBytes() {
-  int device = 0;
-  int most = 0;
-  checkGpu(cudaGetDevice(&device), "number of the GPU");
-  checkGpu(cudaDeviceGetAttribute(&most, cudaDevAttrMaxSharedMemoryPerBlockOptin, device),
-           "shared memory of the GPU");
-  const auto bytes = static_cast<std::size_t>(most);
-  if (bytes <= kUsualSharedBytes) return kUsualSharedBytes;
-  checkGpu(cudaFuncSetAttribute(fitPieces, cudaFuncAttributeMaxDynamicSharedMemorySize, most),
-           "shared memory of a kernel");
-  return bytes;
-}
-
 /// As many threads as a usual piece has points.
 unsigned threadsFor(std::size_t points, std::uint32_t pieces) {
   unsigned threads = kLeastThreads;
@@ -100,7 +86,7 @@ GpuCrossSections crossSectionsOnGpu(GpuStream& stream, const double* places, std
   stream.wait();
 
   // How many bins a piece has depends on its noise.
-  const std::size_t most_shared = mostSharedBytes();
+  const std::size_t most_shared = allowSharedMemory(fitPieces);
   std::size_t shared_bytes = 0U;
   std::size_t size = 0U;
   std::vector<MixtureMemory> layout;

@@ -2,16 +2,19 @@
 
 #include <algorithm>
 #include <cmath>
-#include <functional>
 #include <limits>
 
+#include "common/gpu_streams.hpp"
+#include "common/xyz.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/common/serial_team.hpp"
+#include "measurement/outermost_heights_gpu.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-constexpr std::size_t kSpacings = 3U;  // of an end's outermost points that are looked at
+constexpr int kSpacings = OutermostHeights::kMost - 1;  // of an end's outermost points
 
 /// An end of a plant, upwards or downwards.
 struct End {
@@ -19,31 +22,46 @@ struct End {
   double spacing = 0.0;  ///< mean spacing in height of the outermost points; 0 of a single point
 };
 
-/// @param order of heights, the outermost first
-template <class Order>
-End endOf(const SegmentedBlock& block, const Plant& plant, const Order& order) {
+End endOf(const OutermostHeights& outermost, float upwards) {
   End end;
-  std::vector<float> heights;
-  heights.reserve(plant.points.size());
-  for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
-    heights.push_back(block.cloud.points[i].z());
-  }
-  const std::size_t count = std::min(kSpacings + 1U, heights.size());
-  if (count == 0U) return end;
-  std::partial_sort(heights.begin(), heights.begin() + static_cast<std::ptrdiff_t>(count),
-                    heights.end(), order);
-  end.z = heights.front();
-  if (count > 1U) {
-    end.spacing = std::abs(heights.front() - heights[count - 1U]) / static_cast<double>(count - 1U);
+  const int count = outermost.count;
+  if (count == 0) return end;
+  end.z = static_cast<double>(upwards * outermost.heights[0]);
+  if (count > 1) {
+    end.spacing = std::abs(outermost.heights[0] - outermost.heights[count - 1]) /
+                  static_cast<double>(count - 1);
   }
   return end;
 }
 
-/// That end of each plant.
-template <class Order>
-std::vector<End> endsOf(const SegmentedBlock& block, const Order& order) {
-  std::vector<End> ends(block.plants.size());
-  parallelFor(ends.size(), [&](std::size_t i) { ends[i] = endOf(block, block.plants[i], order); });
+/// False where they are to be looked for on the CPU.
+bool findOnGpu(const PointCloud& cloud, const std::vector<PlantEndTask>& tasks,
+               const ComputeDevice& device, std::vector<OutermostHeights>& found) {
+  if constexpr (kWithCuda) {
+    return !tasks.empty() && device.attempt([&](GpuStream& stream) {
+      const OutermostHeights* result =
+          outermostHeightsOnGpu(stream, xyzOf(cloud.points), cloud.points.size(), tasks);
+      found.assign(result, result + tasks.size());
+    });
+  }
+  return false;
+}
+
+/// That end of each plant. @param upwards 1: its top; -1: its bottom
+std::vector<End> endsOf(const SegmentedBlock& block, float upwards, const ComputeDevice& device) {
+  std::vector<PlantEndTask> tasks;
+  for (const Plant& plant : block.plants) {
+    tasks.push_back({plant.points.begin, plant.points.end, upwards});
+  }
+  std::vector<OutermostHeights> found(tasks.size());
+  if (!findOnGpu(block.cloud, tasks, device, found)) {
+    const float* xyz = xyzOf(block.cloud.points);
+    parallelFor(tasks.size(), [&](std::size_t i) {
+      findOutermostHeights(SerialTeam(), tasks[i], xyz, &found[i]);
+    });
+  }
+  std::vector<End> ends;
+  for (const OutermostHeights& outermost : found) ends.push_back(endOf(outermost, upwards));
   return ends;
 }
 
@@ -55,7 +73,8 @@ class Overhang {
     constexpr std::size_t kFewest = 5U;
     std::vector<double> spacings;
     for (std::size_t i = 0; i < ends.size(); ++i) {
-      if (block.plants[i].points.size() > kSpacings) spacings.push_back(ends[i].spacing);
+      if (block.plants[i].points.size() > static_cast<std::size_t>(kSpacings))
+        spacings.push_back(ends[i].spacing);
     }
     if (spacings.size() < kFewest) return;
     // A point of a neighbour above a plant is no spacing: nearly no mean of three exponentially
@@ -90,12 +109,13 @@ class Overhang {
 }  // namespace
 
 std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
-                                             const MeasurementParameters& parameters) {
+                                             const MeasurementParameters& parameters,
+                                             const ComputeDevice& device) {
   const bool soil = block.ground.observed();
-  const std::vector<End> tops = endsOf(block, std::greater<float>());
+  const std::vector<End> tops = endsOf(block, 1.0F, device);
   const Overhang above(block, tops);
   // Where there is soil it says where plants begin.
-  const std::vector<End> bottoms = soil ? std::vector<End>() : endsOf(block, std::less<float>());
+  const std::vector<End> bottoms = soil ? std::vector<End>() : endsOf(block, -1.0F, device);
   const Overhang below(block, bottoms);
   const double corrected = parameters.mode == "paper" ? 0.0 : 1.0;
 

@@ -253,32 +253,45 @@ std::vector<SurfacePosition> patternWithHole(double spacing) {
   return positions;
 }
 
+/// Gaps of a stem of one radius.
+GapsToFill plainGaps(const std::vector<SurfacePosition>& measured, const FillRange& range,
+                     double density) {
+  GapsToFill gaps;
+  gaps.measured = measured;
+  gaps.range = range;
+  gaps.density = density;
+  gaps.shape.radius = [](double) { return kRadius; };
+  gaps.mean_radius = kRadius;
+  return gaps;
+}
+
 TEST(CompletionGaps, FindsOneHoleAcrossTheSeam) {
   constexpr double kSpacing = 0.004;
   const std::vector<SurfacePosition> positions = patternWithHole(kSpacing);
-  const StemShape shape{[](double) { return kRadius; }};
-  const FillRange range{0.0, 0.4, {}};
   const double density = 1.0 / (kSpacing * kSpacing);
-  const std::vector<GapRegion> gaps = findGaps(positions, range, density, shape, kRadius);
+  const GapsToFill given = plainGaps(positions, {0.0, 0.4, {}}, density);
+  const std::vector<GapRegion> gaps = findGaps(given);
   ASSERT_EQ(gaps.size(), 1U);
+  const Gap& gap = gaps[0].gap;
   const double true_area = 0.1 * kPi * kRadius;
-  EXPECT_NEAR(gaps[0].area, true_area, 0.15 * true_area);
-  EXPECT_NEAR(gaps[0].volume, 0.5 * kRadius * gaps[0].area, 1e-9);
-  EXPECT_NEAR(gaps[0].curvature, 1.0 / kRadius, 1e-6);
-  const double count = expectedPoints(gaps[0], density, kRadius);
-  EXPECT_NEAR(count, density * gaps[0].area, 1e-6 * count);  // Eq 22 on a plain cylinder
+  EXPECT_NEAR(gap.area, true_area, 0.15 * true_area);
+  EXPECT_NEAR(gap.volume, 0.5 * kRadius * gap.area, 1e-9);
+  EXPECT_NEAR(gap.curvature, 1.0 / kRadius, 1e-6);
+  EXPECT_EQ(gaps[0].cells.size(), static_cast<std::size_t>(gap.cells));
+  const double count = expectedPoints(gap, density, kRadius);
+  EXPECT_NEAR(count, density * gap.area, 1e-6 * count);  // Eq 22 on a plain cylinder
 
-  std::vector<SurfacePosition> samples;
-  sampleRegion(gaps[0], count, samples);
-  EXPECT_EQ(samples.size(), static_cast<std::size_t>(std::lround(count)));
-  for (const SurfacePosition& sample : samples) {
+  const GapSamples samples = sampleGaps(given);
+  EXPECT_FALSE(samples.may_have_holes);
+  EXPECT_EQ(samples.places.size(), static_cast<std::size_t>(std::lround(count)));
+  for (const SurfacePosition& sample : samples.places) {
     EXPECT_LT(std::abs(sample.s - 0.2), 0.055);
     EXPECT_LT(std::cos(sample.theta), std::cos(0.5 * kPi - 0.4));
   }
 }
 
 TEST(CompletionGaps, ThickerOrMoreCurvedRegionsGetMore) {
-  GapRegion region;
+  Gap region{};
   region.area = 0.001;
   region.volume = 0.5 * kRadius * region.area;
   region.curvature = 1.0 / kRadius;
@@ -299,10 +312,12 @@ TEST(CompletionGaps, MedianDensityIsThatOfThePattern) {
 
 TEST(CompletionGaps, NothingToDoGivesNoGaps) {
   const std::vector<SurfacePosition> positions = patternWithHole(0.004);
-  const StemShape shape{[](double) { return kRadius; }};
-  EXPECT_TRUE(findGaps(positions, {0.0, 0.4, {}}, 0.0, shape, kRadius).empty());
-  EXPECT_TRUE(findGaps(positions, {0.3, 0.3, {}}, 1e4, shape, kRadius).empty());
-  EXPECT_TRUE(findGaps(positions, {0.1, 0.3, {{0.1, 0.3}}}, 1e5, shape, kRadius).empty());
+  for (const GapsToFill& given :
+       {plainGaps(positions, {0.0, 0.4, {}}, 0.0), plainGaps(positions, {0.3, 0.3, {}}, 1e4),
+        plainGaps(positions, {0.1, 0.3, {{0.1, 0.3}}}, 1e5)}) {
+    EXPECT_TRUE(findGaps(given).empty());
+    EXPECT_TRUE(sampleGaps(given).places.empty());
+  }
 }
 
 /// A ring of points with a bump, every degree and 1 mm.
@@ -433,8 +448,8 @@ TEST(CompletionSurface, CellsKeepEveryPointWhateverTheirNumber) {
 
 TEST(CompletionRepair, FindsAHoleAndClosesItOnTheSurface) {
   constexpr double kSpacing = 0.003;
-  const StemShape shape{[](double) { return kRadius; }};
   const double density = 1.0 / (kSpacing * kSpacing);
+  const GapsToFill given = plainGaps({}, {0.0, 0.4, {}}, density);
   const auto surface = [](const SurfacePosition& p) {
     return 0.0006 * std::cos(2.0 * p.theta) + 0.002 * (p.s - 0.2);
   };
@@ -442,9 +457,7 @@ TEST(CompletionRepair, FindsAHoleAndClosesItOnTheSurface) {
   for (const SurfacePosition& p : patternWithHole(kSpacing)) filled.push_back({p, surface(p), 0.0});
   const std::size_t sound = filled.size();
   filled.push_back({{kPi, 0.2}, 0.02, 0.0});  // a fold: it has left the stem
-  const FillRange range{0.0, 0.4, {}};
-  const std::vector<GapRegion> defects =
-      findDefects({}, filled, 0.005, range, density, shape, kRadius, 0);
+  const std::vector<GapRegion> defects = findDefects(given, filled, 0.005);
   EXPECT_EQ(filled.size(), sound);
   ASSERT_EQ(defects.size(), 1U);
   const std::vector<CompletedPoint> repaired =
@@ -459,7 +472,7 @@ TEST(CompletionRepair, FindsAHoleAndClosesItOnTheSurface) {
   }
   EXPECT_LT(worst_at_rim, 4e-4);  // the surface itself differs by 1.3e-3 there
   filled.insert(filled.end(), repaired.begin(), repaired.end());
-  EXPECT_TRUE(findDefects({}, filled, 0.005, range, density, shape, kRadius, 0).empty());
+  EXPECT_TRUE(findDefects(given, filled, 0.005).empty());
   EXPECT_TRUE(repairDefect(defects[0], {}, density, kRadius, {}).empty());
 }
 

@@ -17,6 +17,7 @@
 #include "field_phenotyping/common/team_envelope.hpp"
 #include "field_phenotyping/common/team_order.hpp"
 #include "field_phenotyping/completion/bilateral_filter.hpp"
+#include "field_phenotyping/completion/gap_sampling.hpp"
 #include "field_phenotyping/completion/rbf_surface.hpp"
 #include "field_phenotyping/completion/stem_frame.hpp"
 #include "field_phenotyping/completion/surface_prior_task.hpp"
@@ -488,6 +489,169 @@ TEST(FilterTeam, ManyFiltersAreThoseAlone) {
     }
   }
   EXPECT_TRUE(solveFilters({}, {}).empty());
+}
+
+/// A stretch of stem of which most or little was measured.
+struct GapScene {
+  std::vector<SurfacePosition> places;
+  std::vector<double> radii;
+  std::vector<unsigned char> fills;
+  std::vector<GapOutline> outlines;
+  GapTask task{};
+
+  GapScene(int rows, int columns, int points, unsigned seed) {
+    constexpr double kLength = 0.12;
+    constexpr double kRadius = 0.01;
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> uniform;
+    for (int i = 0; i < points; ++i) {
+      places.push_back({6.2 * uniform(random) - 3.1, (kLength + 0.02) * uniform(random) - 0.01});
+    }
+    for (int row = 0; row < rows; ++row) {
+      radii.push_back(kRadius * (1.0 + 0.3 * uniform(random)));
+      fills.push_back(row % 11 == 7 ? 0U : 1U);
+    }
+    for (int column = 0; column < columns; ++column) {
+      outlines.push_back({0.9 + 0.2 * uniform(random), 0.5 + uniform(random)});
+    }
+    GapGrid grid;
+    grid.begin = 0.0;
+    grid.rows = rows;
+    grid.columns = columns;
+    grid.row_height = kLength / rows;
+    grid.column_angle = 6.283185307179586 / columns;
+    grid.is_odd = seed % 2U == 0U;
+    task = {places.data(), points,       grid,         0.75 * grid.row_height, kRadius,
+            1e5,           radii.data(), fills.data(), outlines.data()};
+  }
+};
+
+struct FoundGaps {
+  GapTotals totals;
+  std::vector<Gap> gaps;
+  std::vector<int> cells;
+  std::vector<SurfacePosition> samples;
+};
+
+/// @param run calls what it is given with each member of a team
+template <class Run>
+FoundGaps gapsBy(unsigned members, const GapTask& task, const Run& run) {
+  FoundGaps found;
+  found.gaps.resize(static_cast<std::size_t>(task.mostRuns()));
+  found.cells.resize(static_cast<std::size_t>(task.grid.cells()));
+  std::vector<int> begins(static_cast<std::size_t>(task.grid.rows) + 1U);
+  std::vector<GapRun> runs(found.gaps.size());
+  std::vector<GapRows> rows(members);
+  std::vector<unsigned char> missing(found.cells.size());
+  run([&](const auto& team) {
+    GapFinder(team, task, {begins.data(), runs.data(), rows.data(), missing.data()})
+        .find(found.gaps.data(), found.cells.data(), &found.totals);
+  });
+  found.samples.resize(static_cast<std::size_t>(found.totals.samples));
+  run([&](const auto& team) {
+    spreadOverGaps(team, task.grid, found.gaps.data(), found.cells.data(), found.totals.samples,
+                   found.samples.data());
+  });
+  return found;
+}
+
+/// Number of the gap that each cell is of, by flooding: 0 where it is not missing.
+std::vector<int> floodedGaps(const GapTask& task) {
+  const GapGrid& grid = task.grid;
+  const auto indexOf = [&](int row, int column) {
+    return static_cast<std::size_t>(row * grid.columns + (column + grid.columns) % grid.columns);
+  };
+  std::vector<int> gap(static_cast<std::size_t>(grid.cells()), 0);
+  constexpr int kMissing = -1;
+  for (int row = 0; row < grid.rows; ++row) {
+    for (int column = 0; column < grid.columns; ++column) {
+      const SurfacePosition center = grid.center(row, column);
+      const bool is_near =
+          std::any_of(task.places, task.places + task.count, [&](const SurfacePosition& place) {
+            const double turn = std::remainder(place.theta - center.theta, 6.283185307179586);
+            return std::hypot(task.mean_radius * turn, place.s - center.s) <= task.reach;
+          });
+      if (!is_near && task.fills[row] != 0U) gap[indexOf(row, column)] = kMissing;
+    }
+  }
+  int gaps = 0;
+  for (int seed = 0; seed < grid.cells(); ++seed) {
+    if (gap[static_cast<std::size_t>(seed)] != kMissing) continue;
+    gap[static_cast<std::size_t>(seed)] = ++gaps;
+    std::vector<int> open{seed};
+    while (!open.empty()) {
+      const int row = open.back() / grid.columns;
+      const int column = open.back() % grid.columns;
+      open.pop_back();
+      for (int r = std::max(row - 1, 0); r <= std::min(row + 1, grid.rows - 1); ++r) {
+        for (int c = column - 1; c <= column + 1; ++c) {
+          if (gap[indexOf(r, c)] != kMissing) continue;
+          gap[indexOf(r, c)] = gaps;
+          open.push_back(static_cast<int>(indexOf(r, c)));
+        }
+      }
+    }
+  }
+  return gap;
+}
+
+TEST(GapTeam, FindsTheGapsThatFloodingDoesAndFillsThemWhateverTheTeam) {
+  unsigned seed = 1U;
+  int most_gaps = 0;
+  for (const int rows : {1, 2, 30}) {
+    for (const int columns : {3, 4, 25}) {
+      for (const int points : {0, 1, rows * columns / 4, rows * columns, 6 * rows * columns}) {
+        const GapScene scene(rows, columns, points, seed++);
+        const FoundGaps alone =
+            gapsBy(1U, scene.task, [](const auto& work) { work(SerialTeam()); });
+        most_gaps = std::max(most_gaps, alone.totals.gaps);
+        std::vector<int> of_cells(alone.cells.size(), 0);
+        double area = 0.0;
+        std::int64_t samples = 0;
+        for (int k = 0; k < alone.totals.gaps; ++k) {
+          const Gap& gap = alone.gaps[static_cast<std::size_t>(k)];
+          EXPECT_EQ(gap.first_sample, samples);
+          samples += gap.samples;
+          EXPECT_EQ(gap.samples,
+                    std::max(1L, std::lround(expectedPoints(gap, scene.task.density, 0.01))));
+          area += gap.area;
+          for (int i = gap.first_cell; i < gap.first_cell + gap.cells; ++i) {
+            of_cells[static_cast<std::size_t>(alone.cells[static_cast<std::size_t>(i)])] = k + 1;
+          }
+        }
+        EXPECT_EQ(samples, alone.totals.samples);
+        EXPECT_EQ(of_cells, floodedGaps(scene.task)) << rows << " x " << columns << ", " << points;
+        EXPECT_EQ(area > 0.0, alone.totals.gaps > 0);
+        for (const SurfacePosition& sample : alone.samples) {
+          const int row = static_cast<int>(sample.s / scene.task.grid.row_height);
+          EXPECT_NE(scene.fills[static_cast<std::size_t>(row)], 0U);
+        }
+        for (const unsigned groups : {1U, 3U}) {
+          const FoundGaps by_team = gapsBy(groups * kLanes, scene.task, [&](const auto& work) {
+            runEmulatedTeam(groups, [&](const EmulatedTeam& team) { work(team); });
+          });
+          ASSERT_EQ(by_team.totals.gaps, alone.totals.gaps);
+          EXPECT_EQ(by_team.totals.cells, alone.totals.cells);
+          EXPECT_EQ(by_team.totals.samples, alone.totals.samples);
+          EXPECT_EQ(by_team.totals.may_have_holes, alone.totals.may_have_holes);
+          for (std::size_t k = 0; k < static_cast<std::size_t>(alone.totals.gaps); ++k) {
+            EXPECT_EQ(by_team.gaps[k].area, alone.gaps[k].area);
+            EXPECT_EQ(by_team.gaps[k].volume, alone.gaps[k].volume);
+            EXPECT_EQ(by_team.gaps[k].curvature, alone.gaps[k].curvature);
+            EXPECT_EQ(by_team.gaps[k].first_cell, alone.gaps[k].first_cell);
+          }
+          for (std::size_t i = 0; i < static_cast<std::size_t>(alone.totals.cells); ++i) {
+            EXPECT_EQ(by_team.cells[i], alone.cells[i]);
+          }
+          for (std::size_t i = 0; i < alone.samples.size(); ++i) {
+            EXPECT_EQ(by_team.samples[i].theta, alone.samples[i].theta);
+            EXPECT_EQ(by_team.samples[i].s, alone.samples[i].s);
+          }
+        }
+      }
+    }
+  }
+  EXPECT_GT(most_gaps, 20) << "or nothing was joined and numbered";
 }
 
 }  // namespace

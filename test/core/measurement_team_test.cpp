@@ -4,8 +4,10 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <functional>
 #include <random>
 #include <vector>
 
@@ -14,12 +16,48 @@
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/common/team_cholesky.hpp"
 #include "field_phenotyping/measurement/cross_section_start.hpp"
+#include "field_phenotyping/measurement/outermost_heights_team.hpp"
 #include "field_phenotyping/measurement/surface_mixture.hpp"
 
 namespace field_phenotyping {
 namespace {
 
 constexpr double kDigits = 5e-16;
+
+TEST(OutermostHeights, AreThoseOfASortWhateverTheTeam) {
+  std::mt19937 random(11U);
+  std::uniform_real_distribution<float> height(-1.0F, 2.0F);
+  for (const std::uint32_t count : {0U, 1U, 3U, 4U, 5U, 7U, 300U}) {
+    for (const float upwards : {1.0F, -1.0F}) {
+      constexpr std::uint32_t kBegin = 2U;  // those before, and the one behind, are others'
+      std::vector<float> xyz(3U * (kBegin + count + 1U), 9.0F * upwards);
+      std::vector<float> sorted;
+      for (std::uint32_t i = 0; i < count; ++i) {
+        const float z = i % 5U == 4U ? sorted.back() * upwards : height(random);  // some are equal
+        xyz[3U * (kBegin + i) + 2U] = z;
+        sorted.push_back(upwards * z);
+      }
+      std::sort(sorted.begin(), sorted.end(), std::greater<float>());
+      const PlantEndTask task{kBegin, kBegin + count, upwards};
+      const auto expectOutermost = [&](const OutermostHeights& found) {
+        ASSERT_EQ(found.count, std::min<int>(OutermostHeights::kMost, static_cast<int>(count)));
+        for (int k = 0; k < found.count; ++k) {
+          EXPECT_EQ(found.heights[k], sorted[static_cast<std::size_t>(k)]) << k << " of " << count;
+        }
+      };
+      OutermostHeights alone;
+      findOutermostHeights(SerialTeam(), task, xyz.data(), &alone);
+      expectOutermost(alone);
+      for (const unsigned groups : {1U, 3U}) {
+        std::vector<OutermostHeights> found(groups * kLanes);
+        runEmulatedTeam(groups, [&](const EmulatedTeam& team) {
+          findOutermostHeights(team, task, xyz.data(), found.data());
+        });
+        expectOutermost(found.front());
+      }
+    }
+  }
+}
 
 TEST(Elementary, ExponentialAndLogarithmAreExactToTheLastDigits) {
   std::mt19937 random(1U);

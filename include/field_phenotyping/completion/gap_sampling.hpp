@@ -5,6 +5,8 @@
 #include <utility>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
+#include "field_phenotyping/completion/gap_sampling_team.hpp"
 #include "field_phenotyping/completion/surface_index.hpp"
 
 namespace field_phenotyping {
@@ -23,15 +25,6 @@ struct FillRange {
 /// @param arc_lengths of the measured points [m], any order
 FillRange findFillRange(std::vector<double> arc_lengths, double max_gap);
 
-/// A hole in the measured surface (the regions m of paper Eq 22).
-struct GapRegion {
-  std::vector<SurfacePosition> cells;  ///< centres of its cells, row by row
-  double cell_angle = 0.0;             ///< width of a cell [rad]
-  double area = 0.0;                   ///< A_m [m^2]
-  double volume = 0.0;                 ///< V_m, between the axis and the surface [m^3]
-  double curvature = 0.0;              ///< mean curvature of the cross-section, kappa_m [1/m]
-};
-
 /// The stem's own density: median of k / (pi r_k^2) over the measured points [1/m^2]; 0 when there
 /// are too few of them.
 double medianDensity(const SurfaceIndex& measured, const std::vector<SurfacePosition>& positions);
@@ -43,24 +36,42 @@ struct StemShape {
   std::array<double, 2> ellipse{0.0, 0.0};
 };
 
+/// Where gaps are looked for, and what is to fill them.
+struct GapsToFill {
+  std::vector<SurfacePosition> measured;  ///< of and round the range, any order
+  FillRange range;
+  double density = 0.0;  ///< [1/m^2] of points that is asked for
+  StemShape shape;
+  double mean_radius = 0.0;  ///< of the whole stem [m]
+  long first_row = 0;  ///< number of the lowest row of cells: odd rows are shifted by half a cell
+};
+
+/// A hole in the measured surface (the regions m of paper Eq 22).
+struct GapRegion {
+  Gap gap;
+  std::vector<SurfacePosition> cells;  ///< centres of its cells, row by row
+};
+
 /// Connected parts of the unrolled stem, periodic in theta, where measured points are farther apart
-/// than `density` [1/m^2] asks for. In order of their lowest cell.
-/// @param measured those of and round the range, any order
-/// @param mean_radius of the whole stem [m]
-/// @param first_row number of the lowest row of cells: odd rows are shifted by half a cell
-std::vector<GapRegion> findGaps(const std::vector<SurfacePosition>& measured,
-                                const FillRange& range, double density, const StemShape& shape,
-                                double mean_radius, long first_row = 0);
+/// than the density asks for. In order of their lowest cell.
+std::vector<GapRegion> findGaps(const GapsToFill& given);
+
+/// Points that fill gaps.
+struct GapSamples {
+  std::vector<SurfacePosition> places;  ///< gap by gap
+  bool may_have_holes = false;          ///< Eq 22 asks for so few in a gap that they leave holes
+};
+
+/// As many points in each gap as Eq 22 asks for, see expectedPoints(), spread evenly.
+GapSamples sampleGaps(const GapsToFill& given);
+
+/// The same of many stretches at once, a thread block each, on the GPU; with the same bits. What
+/// the GPU cannot do the CPU does, on all cores. Thread-safe.
+/// @param given not null
+std::vector<GapSamples> sampleGaps(const std::vector<const GapsToFill*>& given,
+                                   const ComputeDevice& device);
 
 /// Height of a row of cells: a whole number of them in `length` [m].
 double rowHeight(double length, double density);
-
-/// How many points a region gets (Eq 22 with N_0 = density * A_0):
-///     N_m = density * A_m * (1/4 (V_m/A_m)/(V_0/A_0) + 1/2 + 1/4 kappa_m/kappa_0),
-/// the reference being a cylinder of the stem's mean radius [m].
-double expectedPoints(const GapRegion& region, double density, double mean_radius);
-
-/// Spreads round(count) positions evenly over the cells of the region.
-void sampleRegion(const GapRegion& region, double count, std::vector<SurfacePosition>& samples);
 
 }  // namespace field_phenotyping

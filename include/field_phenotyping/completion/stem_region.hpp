@@ -71,7 +71,8 @@ double regionBegin(const SurfacePrior& prior, long index);  ///< arc length of t
 /// (Eq 25), and repair of defects (Eq 26). Reads the slices of the region and one beside each end.
 StemRegion solveRegion(const StemModel& model, long index);
 
-/// The same in steps, between which the surfaces and filters of many regions are found at once.
+/// The same in steps, between which the surfaces, gaps and filters of many regions are found at
+/// once.
 class RegionSolver {
  public:
   /// @param model must stay as long as this
@@ -82,8 +83,11 @@ class RegionSolver {
 
   /// The surface of Eq 19 to 21 and where it is to be read; null where it is nowhere.
   const RbfToRead* surface() const;
-  /// @param deviations of these places, see readSurfaces(); none where there is no surface
-  void fill(const std::vector<double>& deviations);
+  /// Where its gaps are looked for (Eq 22); null where nothing is filled.
+  const GapsToFill* gaps() const;
+  /// @param deviations of the surface's places, see readSurfaces(); none where there is no surface
+  /// @param samples points in the gaps, see sampleGaps(); none where nothing is filled
+  void fill(const std::vector<double>& deviations, const GapSamples& samples);
   /// The filter of Eq 25, once gaps are filled; null where nothing is to be smoothed.
   const FilterToSolve* filter() const;
   /// @param filter that, see solveFilters(); or none

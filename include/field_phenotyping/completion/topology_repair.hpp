@@ -18,10 +18,9 @@ struct CompletedPoint {
 /// where neither a measured nor a filled point is as near as the density asks for. Folds become
 /// holes: filled points that have left the stem, by more than `most_deviation` [m] from the prior
 /// surface, are taken out of `filled` first.
-std::vector<GapRegion> findDefects(const std::vector<SurfacePosition>& measured,
-                                   std::vector<CompletedPoint>& filled, double most_deviation,
-                                   const FillRange& range, double density, const StemShape& shape,
-                                   double mean_radius, long first_row);
+/// @param given where the gaps were that have been filled
+std::vector<GapRegion> findDefects(const GapsToFill& given, std::vector<CompletedPoint>& filled,
+                                   double most_deviation);
 
 /// New points for one defect, one a cell, on the weighted RBF surface (Eq 26) through its boundary:
 /// the points within three spacings of it. Empty where it has no boundary.

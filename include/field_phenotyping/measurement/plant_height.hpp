@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/measurement/phenotype.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/segmented_block.hpp"
@@ -27,8 +28,10 @@ struct PlantHeight {
 ///
 /// Without soil in the block the height is that above the lowest point of the plant, its standard
 /// deviation that of the sampling only. In mode "paper": the highest point, nothing added.
-/// Thread-safe; deterministic; plants are worked side by side.
+/// Thread-safe; deterministic; plants are worked side by side. Their outermost points are looked
+/// for on the GPU where there is one, a thread block for each plant, with the same result.
 std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
-                                             const MeasurementParameters& parameters);
+                                             const MeasurementParameters& parameters,
+                                             const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping
