@@ -6,6 +6,7 @@
 #include <optional>
 #include <utility>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
 #include "field_phenotyping/segmentation/row_model.hpp"
@@ -17,6 +18,7 @@
 namespace field_phenotyping {
 namespace {
 
+constexpr double kWideSlab = 2.0;  // of the seeds' slabs, where those hold few points of a stem
 constexpr float kHighSeeds =
     0.3F;  // of the plants' height: a stem that begins above hides its foot
 
@@ -218,6 +220,17 @@ std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
   return explained;
 }
 
+/// Whether the cloud is so sparse that slabs of a height [m] hold few points of a stem.
+bool showLittle(const std::vector<GrownStem>& stems, double slab) {
+  constexpr float kFew = 4.0F;
+  std::vector<float> counts;
+  for (const GrownStem& stem : stems) {
+    counts.push_back(static_cast<float>(stem.points.size()) / stem.midline.axis.length() *
+                     static_cast<float>(slab));
+  }
+  return counts.empty() || medianOf(std::move(counts)) < kFew;
+}
+
 }  // namespace
 
 std::vector<StemSeeds> withoutFloating(std::vector<StemSeeds> seeds,
@@ -290,18 +303,31 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
   };
   seeds = onStems(std::move(seeds));
   select(growHanging(scene, block, seeds, stand, stems, plant_height, parameters));
-  // Again where nothing was found, knowing the stand, then with other evidence.
-  for (const SeedEvidence evidence : {SeedEvidence::kUpright, SeedEvidence::kDensity}) {
-    const std::size_t most = 8U + stems.size();  // few are missing where many were found
-    seeds = onStems(findStemSeeds(block, shapes, upright, parameters, evidence, stand.lean,
-                                  explainedPoints(scene, stems), most));
-    std::vector<GrownStem> more =
-        growHanging(scene, block, seeds, stand, stems, plant_height, parameters);
-    std::vector<GrownStem> free =
-        growCandidates(scene, seeds, stems, block.ground, plant_height, parameters);
-    settleFeet(scene, block, stand, parameters, free);
-    std::move(free.begin(), free.end(), std::back_inserter(more));
-    select(std::move(more));
+  // Again where nothing was found, knowing the stand, then with other evidence. Few are missing
+  // where many were found; where most of those that may be missing were found, more are.
+  constexpr std::size_t kMissing = 8U;
+  const auto searchAgain = [&](SeedEvidence evidence, const SegmentationParameters& settings) {
+    for (bool more_missing = true; more_missing;) {
+      const std::size_t known = stems.size();
+      const std::size_t most = kMissing + known;
+      seeds = onStems(findStemSeeds(block, shapes, upright, settings, evidence, stand.lean,
+                                    explainedPoints(scene, stems), most));
+      std::vector<GrownStem> more =
+          growHanging(scene, block, seeds, stand, stems, plant_height, parameters);
+      std::vector<GrownStem> free =
+          growCandidates(scene, seeds, stems, block.ground, plant_height, parameters);
+      settleFeet(scene, block, stand, parameters, free);
+      std::move(free.begin(), free.end(), std::back_inserter(more));
+      select(std::move(more));
+      more_missing = stems.size() > known && 2U * (stems.size() - known) > most;
+    }
+  };
+  searchAgain(SeedEvidence::kUpright, parameters);
+  searchAgain(SeedEvidence::kDensity, parameters);
+  if (showLittle(stems, parameters.seed_slab)) {
+    SegmentationParameters settings = parameters;
+    settings.seed_slab *= kWideSlab;
+    searchAgain(SeedEvidence::kDensity, settings);
   }
   settleAmongNeighbors(scene, block, std::move(stand), stems);
   std::sort(stems.begin(), stems.end(), [](const GrownStem& a, const GrownStem& b) {

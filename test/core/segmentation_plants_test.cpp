@@ -215,6 +215,39 @@ TEST(Segmentation, SparseNoisyAndThin) {
   EXPECT_LE(outcome.false_plants, 1U);
 }
 
+/// Every n-th point of a scene, at random.
+void thin(Scene& scene, double one_in, std::uint32_t seed) {
+  std::mt19937 random(seed);
+  std::bernoulli_distribution keeps(1.0 / one_in);
+  std::size_t kept = 0U;
+  for (std::size_t i = 0; i < scene.cloud.size(); ++i) {
+    if (!keeps(random)) continue;
+    scene.cloud.points[kept] = scene.cloud.points[i];
+    scene.truth[kept++] = scene.truth[i];
+  }
+  scene.cloud.points.resize(kept);
+  scene.truth.resize(kept);
+}
+
+// A point every 5 cm of stem: no neighbourhood shows which way it runs.
+TEST(Segmentation, VerySparseStands) {
+  std::size_t plants = 0U;
+  std::size_t missed = 0U;
+  std::size_t false_plants = 0U;
+  for (std::uint32_t seed = 1U; seed <= 3U; ++seed) {
+    Scene scene(testing::levelSoil(), seed, 0.003);
+    for (const double y : {-0.7, 0.0, 0.7}) addRow(scene, y, 0.2);
+    thin(scene, 80.0, seed);
+    const Outcome outcome = segment(scene, testing::levelSoil());
+    report("very sparse", outcome);
+    plants += scene.plants.size();
+    missed += outcome.missed;
+    false_plants += outcome.false_plants;
+  }
+  EXPECT_LE(20U * missed, plants);
+  EXPECT_LE(50U * false_plants, plants);
+}
+
 TEST(Segmentation, WeedsAreNoPlants) {
   std::size_t false_plants = 0U;
   for (const unsigned seed : {6U, 60U, 600U, 6000U}) {
