@@ -17,6 +17,7 @@
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/common/robust_spread.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/neighborhood.hpp"
 #include "field_phenotyping/segmentation/stem_continuation.hpp"
@@ -551,6 +552,10 @@ Pose poseOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment)
 struct Host {
   const StemAxis* axis = nullptr;
   float top = 0.0F;  // [m] height of the highest point of the stem and of what carries it on
+  OrganEnd end;      // of what carries it on
+
+  float height() const { return top - axis->nodes().front().position.z(); }  // [m]
+  float tip() const { return top - axis->nodes().back().position.z(); }      // [m] above the axis
 };
 
 /// Form of the leaves of a stand, by the distance from their stem and by height. Maize leaves stay
@@ -603,6 +608,7 @@ class LeafForm {
       form.bands_[band] = profileOf(samples[band], usual);
     }
     form.learnCeiling(std::move(rises));
+    form.learnTips(hosts);
     return form;
   }
 
@@ -613,12 +619,19 @@ class LeafForm {
     return misfitOf(lanesOf(shape, center), *host.axis, segment)[0];
   }
   /// How much too high a place stands to be an organ of that plant, from 0. In a stand with tassels
-  /// leaves and side branches stay below the tops of their stems, by about as much everywhere.
+  /// leaves and side branches stay below the tops of their stems, by about as much everywhere, and
+  /// nothing stands above a tip that is known.
   float tooHigh(const Eigen::Vector3f& place, const Host& host) const {
-    constexpr float kWeight = 2.0F;  // of a squared standard deviation
-    constexpr float kTail = 0.5F;    // a top that was not found is no more than odd
-    if (!ceiling_ || place.z() <= host.top + *ceiling_ || !isBeside(place, host)) return 0.0F;
-    const float off = (place.z() - host.top - *ceiling_) / rise_spread_;
+    constexpr float kWeight = 2.0F;       // of a squared standard deviation
+    constexpr float kTail = 0.5F;         // a top that was not found is no more than odd
+    constexpr float kTipStddev = 0.015F;  // [m]
+    if (!ceiling_ || place.z() <= host.top + std::min(*ceiling_, 0.0F)) return 0.0F;
+    float off = 0.0F;
+    if (isBeside(place, host)) off = (place.z() - host.top - *ceiling_) / rise_spread_;
+    if (hasTip(host) && !goesOn(host.end, place)) {
+      off = std::max(off, (place.z() - host.top) / kTipStddev);
+    }
+    if (off <= 0.0F) return 0.0F;
     return kWeight * off * off / (1.0F + kTail * off * off);
   }
   /// The sum over samples of one piece.
@@ -639,13 +652,40 @@ class LeafForm {
     return (place - foot).head<2>().squaredNorm() > kSpike * kSpike;
   }
 
+  /// Whether the tip of what carries the stem on is known: it was seen well, and is not lower than
+  /// others are, as where another organ was followed.
+  bool hasTip(const Host& host) const {
+    constexpr float kTipStddevs = 2.0F;
+    constexpr float kHeightStddevs = 2.3F;
+    return host.end.is_clear && host.tip() > tips_.middle - kTipStddevs * tips_.stddev &&
+           host.height() > heights_.middle - kHeightStddevs * heights_.stddev;
+  }
+  /// Whether a place is where the organ may go on that was followed.
+  static bool goesOn(const OrganEnd& end, const Eigen::Vector3f& place) {
+    constexpr float kTube = 0.02F;     // [m]
+    constexpr float kFarther = 0.08F;  // [m]
+    const Eigen::Vector3f away = place - end.place;
+    const float along = away.dot(end.direction);
+    return along < kFarther && (away - along * end.direction).squaredNorm() < kTube * kTube;
+  }
+
+  void learnTips(const std::vector<Host>& hosts) {
+    std::vector<float> tips;
+    std::vector<float> heights;
+    for (const Host& host : hosts) {
+      if (host.axis->empty()) continue;
+      tips.push_back(host.tip());
+      heights.push_back(host.height());
+    }
+    if (tips.empty()) return;
+    tips_ = robustSpreadOf(tips, kLeastSpread);
+    heights_ = robustSpreadOf(heights, kLeastSpread);
+  }
   /// @param rises of each plant's organs beside the stem above its top [m]
   void learnCeiling(std::vector<std::vector<float>> rises) {
-    constexpr std::size_t kStray = 3U;     // cells of a plant that may be another's
-    constexpr std::size_t kLeaves = 50U;   // cells of a plant that shows its leaves
-    constexpr std::size_t kPlants = 5U;    // that make a stand
-    constexpr float kLeastSpread = 0.03F;  // [m]
-    constexpr float kStddevOfMad = 1.48F;
+    constexpr std::size_t kStray = 3U;    // cells of a plant that may be another's
+    constexpr std::size_t kLeaves = 50U;  // cells of a plant that shows its leaves
+    constexpr std::size_t kPlants = 5U;   // that make a stand
     std::vector<float> highest;
     for (std::vector<float>& of_plant : rises) {
       if (of_plant.size() < kLeaves) continue;
@@ -654,9 +694,8 @@ class LeafForm {
       highest.push_back(*high);
     }
     if (highest.size() < kPlants) return;
-    const float typical = medianOf(highest);
-    for (float& rise : highest) rise = std::abs(rise - typical);
-    rise_spread_ = std::max(kLeastSpread, kStddevOfMad * medianOf(highest));
+    const auto [typical, spread] = robustSpreadOf(highest, kLeastSpread);
+    rise_spread_ = spread;
     // Without tassels the top is no more than the leaf that was followed highest.
     constexpr float kSpreads = 2.0F;  // that hardly a plant's leaves exceed
     if (typical < -rise_spread_) ceiling_ = typical + kSpreads * rise_spread_;
@@ -691,8 +730,9 @@ class LeafForm {
   }
 
   static constexpr std::size_t kBins = 20U;
-  static constexpr float kBin = 0.05F;       // [m]
-  static constexpr std::size_t kBands = 5U;  // of equal height up the stem
+  static constexpr float kBin = 0.05F;                    // [m]
+  static constexpr std::size_t kStemBands = 5U;           // of equal height up the stem
+  static constexpr std::size_t kBands = kStemBands + 1U;  // and one above its end
   struct Bin {
     float slope = 0.0F;
     float slope_spread = 0.0F;
@@ -707,7 +747,7 @@ class LeafForm {
   static Integers bandsOf(const Floats& z, const StemAxis& axis) {
     const float low = axis.nodes().front().position.z();
     const float height = std::max(axis.nodes().back().position.z() - low, kBin);
-    const Floats bands = (z - low) * (static_cast<float>(kBands) / height);
+    const Floats bands = (z - low) * (static_cast<float>(kStemBands) / height);
     return __builtin_convertvector(clampedTo(bands, 0.0F, static_cast<float>(kBands) - 0.5F),
                                    Integers);
   }
@@ -734,6 +774,9 @@ class LeafForm {
   std::array<Profile, kBands> bands_;
   std::optional<float> ceiling_;  // [m] above the top, for organs beside the stem
   float rise_spread_ = 0.0F;      // [m] standard deviation, over plants, of their highest organ
+  RobustSpread tips_{};           // [m] of what carries stems on, above their axes
+  RobustSpread heights_{};        // [m] of plants
+  static constexpr float kLeastSpread = 0.03F;  // [m] of plants
 };
 
 // ---------------------------------------------------------------------------- pieces to plants
@@ -1102,10 +1145,12 @@ float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
 
 /// @param owner of each point: the plant whose stem, or what carries that on, holds it, or -1
 std::vector<Host> hostsOf(const Block& block, const std::vector<StemAxis>& axes,
+                          const std::vector<OrganEnd>& ends,
                           const std::vector<std::int32_t>& owner) {
   std::vector<Host> hosts;
-  for (const StemAxis& axis : axes) {
-    hosts.push_back({&axis, axis.empty() ? 0.0F : axis.nodes().back().position.z()});
+  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
+    const StemAxis& axis = axes[plant];
+    hosts.push_back({&axis, axis.empty() ? 0.0F : axis.nodes().back().position.z(), ends[plant]});
   }
   for (std::size_t i = 0; i < owner.size(); ++i) {
     if (owner[i] < 0) continue;
@@ -1124,8 +1169,8 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   if (block.cloud.empty()) return owner;
   const auto reach = static_cast<float>(parameters.organ_reach);
   const float noise = noiseOf(block, axes, owner);
-  followStemsUp(block, axes, noise, owner);
-  const std::vector<Host> hosts = hostsOf(block, axes, owner);
+  const std::vector<OrganEnd> ends = followStemsUp(block, axes, noise, owner);
+  const std::vector<Host> hosts = hostsOf(block, axes, ends, owner);
   Cells cells = gatherCells(block, owner, shapeRadius(noise), device);
   const Pieces pieces = findPieces(cells, noise);
   constexpr float kStraightOn = 1.6F;  // of the reach, along a leaf

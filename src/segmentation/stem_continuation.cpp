@@ -38,18 +38,25 @@ std::vector<std::uint32_t> pointsAbove(const std::vector<Eigen::Vector3f>& point
 struct Stretch {
   Eigen::Vector3f from;
   Eigen::Vector3f direction;
+  float points = 0.0F;  // that lie on it, less those beside it
 };
 
 /// The organ that carries on an axis, stretch by stretch of kStep.
 std::vector<Stretch> follow(const std::vector<Eigen::Vector3f>& points, const NeighborGrid& grid,
                             const StemAxis& axis, float tube) {
-  constexpr float kTrend = 0.2F;          // [m] of the stem that shows where it points
-  constexpr float kLongest = 0.6F;        // [m] of a tassel
-  constexpr float kLeastCosine = 0.7F;    // of its turn from the stem's direction
-  constexpr std::size_t kWidestGap = 4U;  // steps
-  constexpr std::size_t kAfterGap = 3U;   // steps that must follow on: what crosses shows in fewer
-  constexpr float kShift = 0.5F;          // share of the offset that the place moves by
-  constexpr float kTurn = 0.15F;          // share of a step's turn that is believed
+  constexpr float kTrend = 0.2F;        // [m] of the stem that shows where it points
+  constexpr float kLongest = 0.6F;      // [m] of a tassel
+  constexpr float kLeastCosine = 0.7F;  // of its turn from the stem's direction
+  constexpr float kLeastPoints = 0.5F;  // of a step that is not empty
+  constexpr float kCleanShare = 0.6F;   // of the points about a step, that lie on the organ
+  constexpr float kShift = 0.5F;        // share of the offset that the place moves by
+  constexpr float kTurn = 0.15F;        // share of a step's turn that is believed
+  // A gap is as wide as chance may leave it, by the points that the organ had so far.
+  constexpr float kMissedPoints = 8.0F;
+  constexpr float kNarrowGap = 2.0F;        // steps, that may always be empty
+  constexpr float kWideGap = 5.0F;          // steps, more never
+  constexpr std::size_t kAfterGap = 2U;     // clean steps that must follow on
+  constexpr std::size_t kMostCrossed = 5U;  // steps: what crosses is soon passed
   const float length = axis.length();
   const Eigen::Vector3f end = axis.pointAt(length);
   const Eigen::Vector3f upwards =
@@ -57,13 +64,17 @@ std::vector<Stretch> follow(const std::vector<Eigen::Vector3f>& points, const Ne
   Eigen::Vector3f place = end;
   Eigen::Vector3f direction = upwards;
   std::vector<Stretch> stretches;
-  std::size_t sure = 0U;  // stretches of the organ
-  std::size_t run = 0U;   // steps with points since the last gap
+  std::size_t sure = 0U;         // stretches of the organ
+  std::size_t last = 0U;         // stretches up to the last that is not empty
+  std::size_t last_clean = 0U;   // stretches up to the last that shows the organ alone
+  std::size_t clean_after = 0U;  // clean steps since the gap
+  float seen = 0.0F;             // points of the organ
   bool gap = false;
   while (static_cast<float>(stretches.size()) * kStep < kLongest) {
     const Eigen::Vector3f middle = place + 0.5F * kStep * direction;
     Eigen::Vector3f offset = Eigen::Vector3f::Zero();
     float weights = 0.0F;
+    float count = 0.0F;
     grid.forEachWithin(middle, kReach, [&](std::uint32_t i, float) {
       const Eigen::Vector3f away = points[i] - middle;
       const float along = away.dot(direction);
@@ -72,37 +83,65 @@ std::vector<Stretch> follow(const std::vector<Eigen::Vector3f>& points, const Ne
       const float weight = std::exp(-0.5F * aside.squaredNorm() / (tube * tube));
       offset += weight * aside;
       weights += weight;
+      count += 1.0F;
     });
-    constexpr float kLeastWeight = 0.5F;
-    stretches.push_back({place, direction});
-    if (weights > kLeastWeight) {
-      ++run;
-      if (!gap || run >= kAfterGap) {
+    stretches.push_back({place, direction, weights});
+    if (weights > kLeastPoints) {
+      const bool is_clean = weights > kCleanShare * count;
+      seen += weights;
+      last = stretches.size();
+      if (is_clean) ++clean_after;
+      if (!gap || clean_after >= kAfterGap) {
         gap = false;
         sure = stretches.size();
+        if (is_clean) last_clean = sure;
       }
       const Eigen::Vector3f shift = kShift / weights * offset;
       direction = (direction + kTurn / kStep * shift).normalized();
       place += kStep * direction + shift;
     } else {
-      run = 0U;
+      if (!gap) clean_after = 0U;
       gap = true;
       place += kStep * direction;
     }
-    if (stretches.size() - sure > kWidestGap + kAfterGap) break;
-    if (gap && run == 0U && stretches.size() - sure > kWidestGap) break;
+    const auto empty = static_cast<float>(stretches.size() - last);
+    const bool is_chance = empty * seen <= kMissedPoints * static_cast<float>(last);
+    if (empty > kWideGap || (empty > kNarrowGap && !is_chance)) break;
     if (direction.dot(upwards) < kLeastCosine) break;
   }
+  if (last_clean > 0U && sure - last_clean <= kMostCrossed) sure = last_clean;
   stretches.resize(sure);
   return stretches;
 }
 
+/// @param stretches not empty
+OrganEnd endOf(const std::vector<Stretch>& stretches) {
+  constexpr std::size_t kLast = 5U;        // stretches
+  constexpr float kStraight = 0.95F;       // cosine of the farthest turn
+  constexpr float kPointsAStretch = 1.5F;  // below it a tip may well have no point
+  const Stretch& last = stretches.back();
+  const Eigen::Vector3f place = last.from + kStep * last.direction;
+  const std::size_t begin = stretches.size() - std::min(stretches.size(), kLast);
+  OrganEnd end{place, (place - stretches[begin].from).normalized(), true};
+  float seen = 0.0F;
+  for (std::size_t k = begin; k < stretches.size(); ++k) seen += stretches[k].points;
+  if (seen < kPointsAStretch * static_cast<float>(stretches.size() - begin)) end.is_clear = false;
+  for (const Stretch& stretch : stretches) {
+    if (stretch.direction.dot(stretches.front().direction) < kStraight) end.is_clear = false;
+  }
+  return end;
+}
+
 }  // namespace
 
-void followStemsUp(const Block& block, const std::vector<StemAxis>& axes, float noise,
-                   std::vector<std::int32_t>& owner) {
+std::vector<OrganEnd> followStemsUp(const Block& block, const std::vector<StemAxis>& axes,
+                                    float noise, std::vector<std::int32_t>& owner) {
+  std::vector<OrganEnd> ends(axes.size());
+  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
+    if (!axes[plant].empty()) ends[plant].place = axes[plant].nodes().back().position;
+  }
   const std::vector<std::uint32_t> above = pointsAbove(block.cloud.points, axes, owner);
-  if (above.empty()) return;
+  if (above.empty()) return ends;
   std::vector<Eigen::Vector3f> points;
   for (const std::uint32_t i : above) points.push_back(block.cloud.points[i]);
   std::vector<std::uint8_t> has_stem(axes.size(), 0U);
@@ -114,7 +153,9 @@ void followStemsUp(const Block& block, const std::vector<StemAxis>& axes, float 
   std::vector<float> least(points.size(), tube);  // [m] distance from the middle of the organ
   for (std::size_t plant = 0; plant < axes.size(); ++plant) {
     if (has_stem[plant] == 0U) continue;
-    for (const Stretch& stretch : follow(points, grid, axes[plant], tube)) {
+    const std::vector<Stretch> stretches = follow(points, grid, axes[plant], tube);
+    if (!stretches.empty()) ends[plant] = endOf(stretches);
+    for (const Stretch& stretch : stretches) {
       const Eigen::Vector3f middle = stretch.from + 0.5F * kStep * stretch.direction;
       grid.forEachWithin(middle, kReach, [&](std::uint32_t i, float) {
         const Eigen::Vector3f away = points[i] - middle;
@@ -127,6 +168,7 @@ void followStemsUp(const Block& block, const std::vector<StemAxis>& axes, float 
       });
     }
   }
+  return ends;
 }
 
 }  // namespace field_phenotyping

@@ -40,11 +40,12 @@ class Continuation : public ::testing::Test {
            span.size();
   }
 
-  void follow() { followStemsUp(block_, axes_, 0.001F, owner_); }
+  void follow() { ends_ = followStemsUp(block_, axes_, 0.001F, owner_); }
 
   Block block_;
   std::vector<StemAxis> axes_;
   std::vector<std::int32_t> owner_;
+  std::vector<OrganEnd> ends_;
 };
 
 TEST_F(Continuation, SpikesGoToTheStemsBelowThem) {
@@ -82,6 +83,43 @@ TEST_F(Continuation, WhatCrossesAboveTheEndIsLeft) {
   const IndexSpan leaf = add({-0.2F, 0.0F, 1.07F}, {0.1F, 0.0F, 1.07F});
   follow();
   EXPECT_EQ(shareOf(leaf, -1), 1.0);
+}
+
+TEST_F(Continuation, WhatCrossesTheTipIsLeft) {
+  const IndexSpan spike = add({0.0F, 0.0F, 1.0F}, {0.0F, 0.0F, 1.3F});
+  // A leaf, 6 cm wide, that rises over the tip.
+  std::vector<IndexSpan> leaf;
+  for (int k = -5; k <= 5; ++k) {
+    const float y = 0.006F * static_cast<float>(k);
+    leaf.push_back(add({-0.03F, y, 1.30F}, {0.06F, y, 1.36F}));
+  }
+  follow();
+  EXPECT_GT(shareOf(spike, 0), 0.9);
+  for (const IndexSpan& part : leaf) EXPECT_LT(shareOf(part, 0), 0.4);
+  EXPECT_NEAR(ends_[0].place.z(), 1.3, 0.03);
+  EXPECT_TRUE(ends_[0].is_clear);
+}
+
+TEST_F(Continuation, SparseTipsAreFollowed) {
+  const IndexSpan spike = add({0.0F, 0.0F, 1.0F}, {0.0F, 0.0F, 1.2F});
+  std::vector<IndexSpan> tip;  // a point every 3 cm
+  for (float z = 1.23F; z < 1.33F; z += 0.03F) {
+    tip.push_back(add({0.0F, 0.0F, z - 0.005F}, {0.0F, 0.0F, z}));
+  }
+  follow();
+  EXPECT_GT(shareOf(spike, 0), 0.95);
+  tip.pop_back();  // alone beyond a gap it may be anything
+  for (const IndexSpan& point : tip) EXPECT_EQ(shareOf(point, 0), 1.0);
+}
+
+TEST_F(Continuation, EndsTellHowWellTheyAreKnown) {
+  add({0.0F, 0.0F, 1.0F}, {0.0F, 0.0F, 1.2F});
+  for (float z = 1.0F; z < 1.2F; z += 0.03F) add({0.2F, 0.0F, z - 0.005F}, {0.2F, 0.0F, z});
+  follow();
+  EXPECT_NEAR(ends_[0].place.z(), 1.2, 0.025);
+  EXPECT_GT(ends_[0].direction.z(), 0.99F);
+  EXPECT_TRUE(ends_[0].is_clear);
+  EXPECT_FALSE(ends_[1].is_clear);  // a point every 3 cm
 }
 
 TEST_F(Continuation, WhatStandsBesideIsLeft) {
