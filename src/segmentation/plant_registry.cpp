@@ -100,6 +100,21 @@ const PlantRegistry::Claims* PlantRegistry::claimsOn(std::int32_t id) const {
   return owner == claimed_.end() ? nullptr : &claims_.at(owner->second);
 }
 
+/// Takes a plant that the map has carried over the border from the block that claimed it before
+/// this one's pass began: the other block may see it no more.
+void PlantRegistry::takeOver(const Known& known, const Eigen::Vector2d& base,
+                             const BlockHeader& header) {
+  const auto owner = claimed_.find(known.id);
+  if (owner == claimed_.end() || header.holds(known.base.x(), known.base.y()) ||
+      !header.holds(base.x(), base.y())) {
+    return;
+  }
+  Claims& others = claims_.at(owner->second);
+  if (others.stamp_ns >= header.began_ns) return;
+  others.ids.erase(std::find(others.ids.begin(), others.ids.end(), known.id));
+  claimed_.erase(owner);
+}
+
 /// Whether another block reports the plant under another id: where it is one that this block does
 /// not see beside it, nor the other block this one. Else of such ids none is left but this one.
 bool PlantRegistry::isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
@@ -375,6 +390,7 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
       id = known.id;
       ++outcome.known;
       claims.seen.insert(id);
+      if (sure) takeOver(known, bases[p], header);
       if (claimed_.count(id) > 0U) {
         plants[p]->owned = false;
         continue;

@@ -301,6 +301,34 @@ TEST(PlantRegistry, AClaimLapsesLongAfterItsBlockWasSeen) {
   EXPECT_EQ(late.plants[0].id, left.plants[0].id);
 }
 
+TEST(PlantRegistry, APlantThatTheMapCarriesOverTheBorderIsTheOtherBlocks) {
+  // Whichever of the two blocks reports first in the second pass.
+  for (const bool right_first : {true, false}) {
+    PlantRegistry registry;
+    const auto report = [&](int x, double moved, std::uint64_t began, std::uint64_t end) {
+      std::vector<Eigen::Vector2d> bases;
+      for (const double at : {1.0, 1.23, 1.37, 1.62, 1.79, 1.98, 2.21, 2.36, 2.63, 2.81}) {
+        bases.emplace_back(at + moved, 1.0);
+      }
+      SegmentedBlock block = blockWith({x, 0}, bases);
+      block.header.began_ns = began;
+      block.header.stamp_ns = end;
+      block.header.final = true;
+      return identify(registry, block);
+    };
+    const auto first = report(0, 0.0, 1U, 10U);
+    report(1, 0.0, 1U, 10U);
+    ASSERT_GE(first[5], 0);
+    std::map<int, std::vector<std::int32_t>> second;
+    for (const int x : right_first ? std::vector<int>{1, 0} : std::vector<int>{0, 1}) {
+      second[x] = report(x, 0.13, 100U, 110U);
+    }
+    EXPECT_EQ(second[1][5], first[5]);
+    EXPECT_EQ(second[0][5], -1);
+    EXPECT_EQ(registry.size(), 10U);
+  }
+}
+
 TEST(PlantRegistry, PlantsOfNeighboursAreLeftAlone) {
   PlantRegistry registry;
   SegmentedBlock block = blockWith({0, 0}, {{0.5, 0.5}, {2.4, 0.5}});
