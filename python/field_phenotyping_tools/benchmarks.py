@@ -345,7 +345,7 @@ def main(program, description, tables, pictures, figures, duration, report=None)
     """Command line of a benchmark program: prints some of its tables, or all. Returns its status.
 
     tables: {name: function of a Bench and the folder for pictures that returns figures}
-    pictures, figures: names of the files that are written
+    pictures, figures: names of the files that are written; None for no picture
     duration: in words, of all tables
     report: a Report; the program then has --quick and --report
     """
@@ -366,7 +366,9 @@ def main(program, description, tables, pictures, figures, duration, report=None)
         '--output',
         metavar='DIR',
         default=os.path.join('build', 'benchmark'),
-        help='folder for {} and {} [m, rad, s] (default build/benchmark)'.format(pictures, figures),
+        help='folder for {} [m, rad, s] (default build/benchmark)'.format(
+            ' and '.join(filter(None, (pictures, figures)))
+        ),
     )
     if report:
         parser.add_argument(
