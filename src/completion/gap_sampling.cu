@@ -71,8 +71,8 @@ __global__ void __launch_bounds__(kThreads)
                           SurfacePosition* samples) {
   const Begin& begin = memory.begins[blockIdx.x];
   spreadOverGaps(GpuTeam(), memory.tasks[blockIdx.x].grid, memory.gaps + begin.gap,
-             memory.cells + begin.cell, memory.totals[blockIdx.x].samples,
-             samples + first_samples[blockIdx.x]);
+                 memory.cells + begin.cell, memory.totals[blockIdx.x].samples,
+                 samples + first_samples[blockIdx.x]);
 }
 
 }  // namespace

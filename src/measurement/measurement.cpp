@@ -164,7 +164,8 @@ std::vector<Phenotype> measureBlock(const CompletedBlock& block,
     if (plants[i].owned) owned.push_back(i);
   }
   const std::vector<PlantSpacing> spacings = measureRowSpacing(*block.segmented);
-  const std::vector<PlantHeight> heights = measurePlantHeights(*block.segmented, parameters, device);
+  const std::vector<PlantHeight> heights =
+      measurePlantHeights(*block.segmented, parameters, device);
   const BlockPrior prior = blockPrior(*block.segmented, parameters, device);
   std::vector<StemDiameter> alone;
   if (!prior.alone.empty()) {
