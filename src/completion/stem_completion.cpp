@@ -363,6 +363,30 @@ class StemInWork {
   CompletedStem completed_;
 };
 
+/// What many solvers ask, so that all is answered at once; some ask nothing.
+template <class Question>
+struct Questions {
+  std::vector<const Question*> all;
+  std::vector<std::optional<std::size_t>> of_solver;
+
+  Questions(const std::vector<std::optional<RegionSolver>>& solvers,
+            const Question* (RegionSolver::*question)() const)
+      : of_solver(solvers.size()) {
+    for (std::size_t i = 0; i < solvers.size(); ++i) {
+      const Question* asked = ((*solvers[i]).*question)();
+      if (asked == nullptr) continue;
+      of_solver[i] = all.size();
+      all.push_back(asked);
+    }
+  }
+
+  /// Takes what that solver gets; a default value where it has asked nothing.
+  template <class Answer>
+  Answer answer(std::size_t solver, std::vector<Answer>& answers) const {
+    return of_solver[solver] ? std::move(answers[*of_solver[solver]]) : Answer();
+  }
+};
+
 /// Solves open regions of many stems together.
 void solveTogether(const std::vector<std::unique_ptr<StemInWork>>& stems,
                    const ComputeDevice& device) {
@@ -380,37 +404,17 @@ void solveTogether(const std::vector<std::unique_ptr<StemInWork>>& stems,
   parallelFor(tasks.size(), [&](std::size_t i) {
     solvers[i].emplace(tasks[i].stem->model(), tasks[i].region->index);
   });
-  std::vector<const RbfToRead*> surfaces;
-  std::vector<std::size_t> surface_of(tasks.size());
-  for (std::size_t i = 0; i < tasks.size(); ++i) {
-    surface_of[i] = surfaces.size();
-    if (solvers[i]->surface() != nullptr) surfaces.push_back(solvers[i]->surface());
-  }
-  const std::vector<std::vector<double>> deviations = readSurfaces(surfaces, device);
-  std::vector<const GapsToFill*> gaps;
-  std::vector<std::size_t> gaps_of(tasks.size());
-  for (std::size_t i = 0; i < tasks.size(); ++i) {
-    gaps_of[i] = gaps.size();
-    if (solvers[i]->gaps() != nullptr) gaps.push_back(solvers[i]->gaps());
-  }
-  const std::vector<GapSamples> samples = sampleGaps(gaps, device);
+  const Questions<RbfToRead> surfaces(solvers, &RegionSolver::surface);
+  const Questions<GapsToFill> gaps(solvers, &RegionSolver::gaps);
+  std::vector<std::vector<double>> deviations = readSurfaces(surfaces.all, device);
+  std::vector<GapSamples> samples = sampleGaps(gaps.all, device);
   parallelFor(tasks.size(), [&](std::size_t i) {
-    const bool has_surface = solvers[i]->surface() != nullptr;
-    const bool has_gaps = solvers[i]->gaps() != nullptr;
-    solvers[i]->fill(has_surface ? deviations[surface_of[i]] : std::vector<double>(),
-                     has_gaps ? samples[gaps_of[i]] : GapSamples());
+    solvers[i]->fill(surfaces.answer(i, deviations), gaps.answer(i, samples));
   });
-  std::vector<const FilterToSolve*> to_filter;
-  std::vector<std::size_t> filter_of(tasks.size());
-  for (std::size_t i = 0; i < tasks.size(); ++i) {
-    filter_of[i] = to_filter.size();
-    if (solvers[i]->filter() != nullptr) to_filter.push_back(solvers[i]->filter());
-  }
-  std::vector<BilateralFilter> filters = solveFilters(to_filter, device);
+  const Questions<FilterToSolve> to_filter(solvers, &RegionSolver::filter);
+  std::vector<BilateralFilter> filters = solveFilters(to_filter.all, device);
   parallelFor(tasks.size(), [&](std::size_t i) {
-    const bool is_filtered = solvers[i]->filter() != nullptr;
-    tasks[i].region->solved->region =
-        solvers[i]->finish(is_filtered ? std::move(filters[filter_of[i]]) : BilateralFilter());
+    tasks[i].region->solved->region = solvers[i]->finish(to_filter.answer(i, filters));
   });
 }
 

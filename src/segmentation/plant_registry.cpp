@@ -100,19 +100,22 @@ const PlantRegistry::Claims* PlantRegistry::claimsOn(std::int32_t id) const {
   return owner == claimed_.end() ? nullptr : &claims_.at(owner->second);
 }
 
+/// The block that has claimed a plant reports it no more.
+void PlantRegistry::releaseClaim(std::int32_t id) {
+  const auto owner = claimed_.find(id);
+  std::vector<std::int32_t>& ids = claims_.at(owner->second).ids;
+  ids.erase(std::find(ids.begin(), ids.end(), id));
+  claimed_.erase(owner);
+}
+
 /// Takes a plant that the map has carried over the border from the block that claimed it before
 /// this one's pass began: the other block may see it no more.
 void PlantRegistry::takeOver(const Known& known, const Eigen::Vector2d& base,
                              const BlockHeader& header) {
-  const auto owner = claimed_.find(known.id);
-  if (owner == claimed_.end() || header.holds(known.base.x(), known.base.y()) ||
-      !header.holds(base.x(), base.y())) {
-    return;
-  }
-  Claims& others = claims_.at(owner->second);
-  if (others.stamp_ns >= header.began_ns) return;
-  others.ids.erase(std::find(others.ids.begin(), others.ids.end(), known.id));
-  claimed_.erase(owner);
+  const bool carried =
+      !header.holds(known.base.x(), known.base.y()) && header.holds(base.x(), base.y());
+  const Claims* claims = claimsOn(known.id);
+  if (carried && claims != nullptr && claims->stamp_ns < header.began_ns) releaseClaim(known.id);
 }
 
 /// Whether another block reports the plant under another id: where it is one that this block does
@@ -126,9 +129,7 @@ bool PlantRegistry::isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& bas
     if (claims == nullptr || claims->seen.count(id) > 0U) continue;
     // The older id stays, unless the other block has spoken for the last time.
     if (other.id < id || claims->final) return true;
-    std::vector<std::int32_t>& ids = claims_.at(claimed_.at(other.id)).ids;
-    ids.erase(std::find(ids.begin(), ids.end(), other.id));
-    claimed_.erase(other.id);
+    releaseClaim(other.id);
     takeOut(other);
     given[e] = true;
   }

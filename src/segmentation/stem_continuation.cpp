@@ -38,7 +38,7 @@ std::vector<std::uint32_t> pointsAbove(const std::vector<Eigen::Vector3f>& point
 struct Stretch {
   Eigen::Vector3f from;
   Eigen::Vector3f direction;
-  float points = 0.0F;  // that lie on it, less those beside it
+  float points = 0.0F;  // that show it: each counts the less, the farther from its line it lies
 };
 
 /// The organ that carries on an axis, stretch by stretch of kStep.

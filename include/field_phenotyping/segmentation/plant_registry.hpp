@@ -33,9 +33,8 @@ struct KnownPlant {
 /// on it, and may place a base on either side; the first block to claim such a plant keeps it until
 /// it no longer finds it, so no plant is reported twice or lost. A claim holds among blocks that
 /// are seen at about the same time, kClaimHolds, and not against the block that the map has carried
-/// the plant into in a later pass. Where two blocks have given one plant two ids, as
-/// they had placed it too far apart at first, one of them is given up once the places have come
-/// together.
+/// the plant into in a later pass. Where two blocks have given one plant two ids, as they had
+/// placed it too far apart at first, one of them is given up once the places have come together.
 ///
 /// Of each plant ever named it holds an id, a place and a time: about 40 bytes. Thread-safe.
 class PlantRegistry {
@@ -127,6 +126,7 @@ class PlantRegistry {
                         std::uint64_t began_ns, Matches& matches);
   void giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64_t began_ns, Matches& matches);
   const Claims* claimsOn(std::int32_t id) const;
+  void releaseClaim(std::int32_t id);
   void takeOver(const Known& known, const Eigen::Vector2d& base, const BlockHeader& header);
   bool isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
                         const std::vector<Known>& near, std::vector<bool>& given);

@@ -12,7 +12,7 @@ namespace field_phenotyping {
 /// Where the organ that carries on a stem ends.
 struct OrganEnd {
   Eigen::Vector3f place = Eigen::Vector3f::Zero();
-  Eigen::Vector3f direction = Eigen::Vector3f::UnitZ();  ///< of its last stretch
+  Eigen::Vector3f direction = Eigen::Vector3f::UnitZ();  ///< of its last 10 cm
   bool is_clear = false;  ///< whether points show it all along, straight on to this end
 };
 
