@@ -64,6 +64,13 @@ def update():
         file.write(text)
 
 
+def anchors(text):
+    """What links into a page may name: its headings as GitHub spells them, and names given in it."""
+    headings = re.findall(r'^#+ (.*)$', text, re.MULTILINE)
+    spelled = [re.sub(r'[^\w\- ]', '', heading.lower()).replace(' ', '-') for heading in headings]
+    return spelled + re.findall(r'<a name="([^"]+)">', text)
+
+
 class ReadmeTest(unittest.TestCase):
     def test_parameter_tables_are_those_of_list_parameters(self):
         said = listing()
@@ -113,11 +120,15 @@ class ReadmeTest(unittest.TestCase):
     def test_every_completion_flag_is_explained(self):
         self.assert_flags_explained(r'^uint8 COMPLETION_(\w+) = (\d+)', 'Completion flags')
 
-    def test_files_that_are_named_exist(self):
-        links = re.findall(r'\]\((?!http|#)([^)#]+)\)', read('README.md'))
-        self.assertTrue(links)
-        for link in links:
-            self.assertTrue(os.path.exists(os.path.join(ROOT, link)), link)
+    def test_links_lead_somewhere(self):
+        for page in ('README.md', 'docs/accuracy.md', 'docs/performance.md'):
+            links = re.findall(r'\]\((?!http)([^)#]*)(?:#([^)]*))?\)', read(page))
+            self.assertTrue(links, page)
+            for file, anchor in links:
+                target = os.path.join(ROOT, os.path.dirname(page), file) if file else page
+                self.assertTrue(os.path.exists(os.path.join(ROOT, target)), page + ': ' + file)
+                if anchor:
+                    self.assertIn(anchor, anchors(read(target)), page + ': ' + file)
 
 
 if __name__ == '__main__':
