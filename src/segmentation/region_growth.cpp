@@ -2,35 +2,26 @@
 
 #include <algorithm>
 #include <cmath>
-#include <utility>
 
 #include "field_phenotyping/common/sorted_indices.hpp"
+#include "field_phenotyping/segmentation/growth_task.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-/// w_p of Eq 1: points in dense, little curved surroundings say more about where the stem goes.
-float directionWeight(const LocalShape& shape) {
-  constexpr float kFullDensity = 20.0F;  // neighbours beyond which density adds nothing
-  const float density = std::min(static_cast<float>(shape.neighbors) / kFullDensity, 1.0F);
-  return density * (1.0F - 3.0F * shape.curvature);
-}
-
-/// Eq 1: the weighted mean direction from s_k to the candidates; zero when there are none.
-Eigen::Vector3f meanDirection(const GrowthScene& scene,
-                              const std::vector<std::uint32_t>& candidates,
-                              const Eigen::Vector3f& s_k) {
-  Eigen::Vector3f sum = Eigen::Vector3f::Zero();
-  float total = 0.0F;
-  for (const std::uint32_t i : candidates) {
-    const Eigen::Vector3f away = scene.points[i] - s_k;
-    const float distance = away.norm();
-    if (!(distance > 0.0F)) continue;
-    const float weight = directionWeight(scene.shapes[i]);
-    sum += weight / distance * away;
-    total += weight;
+/// Appends the points within `radius` [m] of a straight line, piece by piece: boxes round short
+/// ones hold little else.
+void addAround(const GrowthScene& scene, const Eigen::Vector3f& begin, const Eigen::Vector3f& end,
+               float radius, std::vector<std::uint32_t>& found) {
+  const auto pieces =
+      std::max(static_cast<int>(std::ceil((end - begin).norm() / (2.0F * radius))), 1);
+  Eigen::Vector3f from = begin;
+  for (int k = 1; k <= pieces; ++k) {
+    const Eigen::Vector3f to =
+        begin + static_cast<float>(k) / static_cast<float>(pieces) * (end - begin);
+    scene.grid.forEachWithinOfLine(from, to, radius, [&](std::uint32_t i) { found.push_back(i); });
+    from = to;
   }
-  return total > 0.0F ? Eigen::Vector3f(sum / total) : Eigen::Vector3f::Zero();
 }
 
 }  // namespace
@@ -58,80 +49,32 @@ std::vector<std::uint32_t> pointsAround(const GrowthScene& scene, const StemAxis
   return found;
 }
 
-float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midline) {
-  return similarity(scene.shapes[i], midline.axis.project(scene.points[i]), midline.spread);
-}
-
-float similarity(const LocalShape& shape, const StemAxis::Projection& at, float spread) {
-  // Distance beyond the stem's surface, in units of what noise and out-of-roundness explain.
-  // Nothing but the stem itself lies within.
-  const float scale = std::hypot(spread, 0.07F * at.radius);
-  const float away = std::max(at.distance - at.radius, 0.0F) / scale;
-  constexpr float kSoftness = 0.10F;  // similarity 0.5 at two and a half standard deviations
-  const float on_surface = std::exp(-kSoftness * away * away);
-
-  const float across = 1.0F - std::abs(shape.normal.dot(at.direction));
-  const float along = shape.linearity * std::abs(shape.direction.dot(at.direction)) +
-                      (1.0F - shape.linearity) * 0.5F;
-  constexpr float kSurface = 0.5F;
-  constexpr float kAcross = 0.2F;
-  constexpr float kAlong = 0.3F;
-  return on_surface * (kSurface + kAcross * across + kAlong * along);
-}
-
-StemScene::StemScene(const GrowthScene& scene, Midline midline, LeafBases leaf_bases)
-    : cloud_(scene), midline_(std::move(midline)), leaf_bases_(std::move(leaf_bases)) {}
-
-StemScene::Place StemScene::placeOf(std::uint32_t i) const {
-  const auto [known, is_new] = known_.tryEmplace(i, {});
-  if (!is_new) return *known;
-  const Eigen::Vector3f& point = cloud_.points[i];
-  const StemAxis::Projection at = midline_.axis.project(point);
-  const Eigen::Vector3f away = point - at.foot;
-  constexpr float kThinnest = 1e-4F;  // [m]
-  const float radius = std::max(at.radius, kThinnest);
-  // Noise moves points outwards on average, across a curved surface.
-  const float noise = midline_.spread / radius;
-  known->sighting = {std::atan2(away.y(), away.x()),
-                     at.distance / radius - 1.0F - 0.5F * noise * noise};
-  known->similarity = similarity(cloud_.shapes[i], at, midline_.spread) *
-                      (1.0F - leaf_bases_.leafShare(point, midline_.axis));
-  return *known;
-}
-
-GrowthRegion growRegion(const StemScene& scene, const Eigen::Vector3f& start,
-                        const Eigen::Vector3f& end, const GrowthSettings& settings) {
-  GrowthRegion region;
-  region.start = start;
-  region.end = end;
-  const Eigen::Vector3f line = end - start;
-  if (!(line.squaredNorm() > 0.0F)) return region;
-
-  Eigen::Vector3f s_k = start;
-  std::vector<std::uint32_t> candidates;
-  for (int step = 0; step < settings.max_steps; ++step) {
-    // Points inside the sphere B(s_k, r1) that are like the stem are candidates and join.
-    candidates.clear();
-    scene.cloud().grid.forEachWithin(s_k, settings.r1, [&](std::uint32_t i, float) {
-      if (scene.similarityOf(i) >= settings.M) candidates.push_back(i);
-    });
-    region.points.insert(region.points.end(), candidates.begin(), candidates.end());
-    ++region.steps;
-
-    // a. Growth direction (Eq 1, 2).
-    const Eigen::Vector3f to_end = end - s_k;
-    const Eigen::Vector3f v_k = settings.alpha * meanDirection(scene.cloud(), candidates, s_k) +
-                                settings.beta * to_end.normalized();
-    // b. New seed (Eq 3); the step stays within [0.5, 1] r1 so that it can neither stall nor skip.
-    const float speed = v_k.norm();
-    if (!(speed > 0.0F)) break;
-    s_k += settings.r1 * std::clamp(speed, 0.5F, 1.0F) / speed * v_k;
-    // c. Termination (Eq 4, 5).
-    const float t_proj = (s_k - start).dot(line) / line.squaredNorm();
-    if (t_proj < 0.0F || t_proj > 1.0F) break;
+std::vector<std::uint32_t> pointsAlong(const GrowthScene& scene, const StemAxis& axis, float radius,
+                                       float beyond) {
+  constexpr float kRounding = 1.001F;  // of the distances
+  std::vector<std::uint32_t> found;
+  Eigen::Vector3f from = axis.pointAt(-beyond);
+  for (const StemAxis::Node& node : axis.nodes()) {
+    addAround(scene, from, node.position, kRounding * radius, found);
+    from = node.position;
   }
-  sortUnique(region.points);
-  return region;
+  addAround(scene, from, axis.pointAt(axis.length() + beyond), kRounding * radius, found);
+  sortUnique(found);
+  return found;
+}
+
+std::size_t countCrowd(const GrowthScene& scene, const Midline& midline) {
+  const StemAxis& axis = midline.axis;
+  const auto skinAt = [&](float radius) { return radius + 2.0F * midline.spread; };
+  float widest = 0.0F;
+  for (const StemAxis::Node& node : axis.nodes()) widest = std::max(widest, skinAt(node.radius));
+  std::size_t count = 0U;
+  for (const std::uint32_t i : pointsAround(scene, axis, 2.0F * widest)) {
+    const StemAxis::Projection at = axis.project(scene.points[i]);
+    if (at.arc_length < 0.0F || at.arc_length > axis.length()) continue;
+    if (at.distance > skinAt(at.radius) && at.distance < 2.0F * skinAt(at.radius)) ++count;
+  }
+  return count;
 }
 
 }  // namespace field_phenotyping
