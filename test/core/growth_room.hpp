@@ -6,7 +6,7 @@
 
 #include "common/xyz.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
-#include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/growth_scene.hpp"
 #include "field_phenotyping/segmentation/stem_growth_team.hpp"
 
 namespace field_phenotyping::testing {

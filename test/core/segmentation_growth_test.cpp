@@ -11,10 +11,10 @@
 #include <set>
 #include <stdexcept>
 
+#include "field_phenotyping/segmentation/growth_scene.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
 #include "field_phenotyping/segmentation/midline_refinement.hpp"
-#include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
 #include "growth_room.hpp"

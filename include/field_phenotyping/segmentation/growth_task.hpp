@@ -51,7 +51,7 @@ struct GrowthTask {
   int region_count = 0;
   float spread = 0.0F;       ///< noise of the stem's surface [m]
   float leaf_spread = 0.0F;  ///< likewise, as the leaf bases were found with
-  float farthest = 0.0F;     ///< farthest off the surface that a point may join, see placePoints()
+  float farthest = 0.0F;     ///< off the surface that a point may join, see growth::awayOf()
   float least = 0.0F;        ///< similarity below which no region of any growth takes a point
   GrowthSettings first;      ///< settings of the first growth
 

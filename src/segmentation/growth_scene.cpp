@@ -1,4 +1,4 @@
-#include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/growth_scene.hpp"
 
 #include <algorithm>
 #include <cmath>
