@@ -20,22 +20,11 @@ using leaf::turned;
 
 constexpr std::array<float, 6> kSlopes{0.18F, 0.27F, 0.40F, 0.58F, 0.84F, 1.2F};
 
-/// A point as the search sees it.
-struct Place {
-  float arc_length;
-  float azimuth;
-  float distance;  // from the axis
-  float radius;    // of the stem there
-};
+using StemPlace = leaf::Places<float>;
 
-Place placeOf(const Eigen::Vector3f& point, const StemAxis::Projection& at) {
+StemPlace placeOf(const Eigen::Vector3f& point, const StemAxis::Projection& at) {
   const Eigen::Vector3f away = point - at.foot;
   return {at.arc_length, std::atan2(away.y(), away.x()), at.distance, at.radius};
-}
-
-float normalDensity(float off, float spread) {
-  const float z = off / spread;
-  return 0.39894228F / spread * std::exp(-0.5F * z * z);
 }
 
 /// What is known of the points round a stem before any leaf is, by arc length, coordinate by
@@ -49,7 +38,7 @@ struct Surroundings {
   float stem_density = 0.0F;  // [1/m^2] of the surface
   float clutter = 0.0F;       // [1/m^3] beside it
 
-  void setPlaces(const std::vector<Place>& places) {
+  void setPlaces(const std::vector<StemPlace>& places) {
     count = places.size();
     for (std::vector<float>* values : {&arc_lengths, &azimuths, &distances, &radii, &stem}) {
       values->assign(count + kLanes, 0.0F);
@@ -76,10 +65,6 @@ struct Surroundings {
             clutter};
   }
 };
-
-float stemDensity(float distance, float radius, float spread) {
-  return normalDensity(distance - radius, spread);
-}
 
 /// Votes of points outside the surface for where the leaf that they are of leaves the stem.
 class Votes {
@@ -180,11 +165,11 @@ Surroundings lookAround(const std::vector<Eigen::Vector3f>& points,
   constexpr float kBand = 0.05F;  // [m]
   std::vector<float> counts(static_cast<std::size_t>(length / kBand) + 1U, 0.0F);
   float beside = 0.0F;
-  std::vector<Place> places;
+  std::vector<StemPlace> places;
   for (const std::uint32_t i : members) {
     const StemAxis::Projection at = midline.axis.project(points[i]);
     if (at.arc_length < 0.0F || at.arc_length > length + kLongest) continue;
-    const Place place = placeOf(points[i], at);
+    const StemPlace place = placeOf(points[i], at);
     const float beyond = place.distance - place.radius;
     if (beyond > LeafBases::kReach) continue;
     places.push_back(place);
@@ -196,7 +181,7 @@ Surroundings lookAround(const std::vector<Eigen::Vector3f>& points,
       beside += 1.0F;
     }
   }
-  std::sort(places.begin(), places.end(), [](const Place& a, const Place& b) {
+  std::sort(places.begin(), places.end(), [](const StemPlace& a, const StemPlace& b) {
     return a.arc_length != b.arc_length ? a.arc_length < b.arc_length : a.azimuth < b.azimuth;
   });
   around.setPlaces(places);
@@ -213,8 +198,8 @@ Surroundings lookAround(const std::vector<Eigen::Vector3f>& points,
                    (kPi * (outer * outer - inner * inner) * std::max(length, kBand));
   if (!(around.stem_density > 0.0F)) return around;
   for (std::size_t i = 0; i < around.count; ++i) {
-    around.stem[i] =
-        around.stem_density * stemDensity(around.distances[i], around.radii[i], around.spread);
+    around.stem[i] = around.stem_density *
+                     leaf::stemDensity(around.distances[i], around.radii[i], around.spread);
   }
   around.guesses = guess(around);
   return around;
@@ -303,22 +288,15 @@ std::vector<float> LeafBases::arcLengths() const {
 
 float LeafBases::leafShare(const Eigen::Vector3f& point, const StemAxis& axis) const {
   if (bases_.empty()) return 0.0F;
-  const Place place = placeOf(point, axis.project(point));
+  const StemPlace place = placeOf(point, axis.project(point));
   const VectorLanes lanes;
   const leaf::Places<Floats> places{allOf(place.arc_length), allOf(place.azimuth),
                                     allOf(place.distance), allOf(place.radius)};
-  const float blur = leaf::blurOf(spread_);
-  float own = 0.0F;
-  float hidden = 0.0F;
-  for (const LeafBase& base : bases_) {
-    const float above = place.arc_length - base.arc_length;
-    if (above < -2.0F * blur || above > kLongest) continue;
-    const leaf::Influence<Floats> influence = leaf::influenceOf(lanes, base, places, blur);
-    own += influence.leaf[0];
-    hidden = std::max(hidden, influence.hidden[0]);
-  }
-  if (!(own > 0.0F)) return 0.0F;
-  return own / (own + (1.0F - hidden) * stemDensity(place.distance, place.radius, spread_));
+  const leaf::Influence<Floats> influence = leaf::influenceOfAll(
+      lanes, bases_.data(), static_cast<int>(bases_.size()), places, leaf::blurOf(spread_));
+  if (!(influence.leaf[0] > 0.0F)) return 0.0F;
+  return leaf::shareOf(influence.leaf[0], influence.hidden[0],
+                       leaf::stemDensity(place.distance, place.radius, spread_));
 }
 
 }  // namespace field_phenotyping

@@ -19,7 +19,6 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kBandHeight = 0.10F;  // [m] along the axis, for pruning
 constexpr std::size_t kMinPoints = 8U;
 constexpr double kPointEvidence = 1.0;   // [log likelihood] what one point could say for a stem
 constexpr double kMostEvidence = 100.0;  // [log likelihood/m] what a few points of a stem say
@@ -707,34 +706,6 @@ Midline followMidline(const std::vector<Eigen::Vector3f>& points,
     best = stem;
   }
   return midlineOf(best, frame, scale, unfitted(known, max_radius));
-}
-
-std::vector<std::uint32_t> pruneByMidline(const std::vector<Eigen::Vector3f>& points,
-                                          const std::vector<std::uint32_t>& members,
-                                          const StemAxis& axis, float factor) {
-  const auto count =
-      std::max<std::size_t>(1U, static_cast<std::size_t>(std::lround(axis.length() / kBandHeight)));
-  const float height = axis.length() / static_cast<float>(count);
-  std::vector<std::vector<float>> distances(count);
-  const auto bandOf = [&](float s) {
-    return static_cast<std::size_t>(std::clamp(s / height, 0.0F, static_cast<float>(count) - 0.5F));
-  };
-  std::vector<StemAxis::Projection> places;
-  places.reserve(members.size());
-  for (const std::uint32_t i : members) {
-    places.push_back(axis.project(points[i]));
-    distances[bandOf(places.back().arc_length)].push_back(places.back().distance);
-  }
-  std::vector<float> thresholds;
-  for (std::vector<float>& band : distances) {
-    thresholds.push_back(band.empty() ? 0.0F : factor * medianOf(std::move(band)));
-  }
-  std::vector<std::uint32_t> kept;
-  for (std::size_t k = 0; k < members.size(); ++k) {
-    if (places[k].arc_length > axis.length()) continue;
-    if (places[k].distance <= thresholds[bandOf(places[k].arc_length)]) kept.push_back(members[k]);
-  }
-  return kept;
 }
 
 }  // namespace field_phenotyping

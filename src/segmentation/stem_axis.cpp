@@ -1,9 +1,10 @@
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 
 #include <algorithm>
-#include <limits>
 #include <stdexcept>
 #include <utility>
+
+#include "field_phenotyping/segmentation/axis_view.hpp"
 
 namespace field_phenotyping {
 
@@ -27,17 +28,6 @@ std::size_t StemAxis::segmentAt(float s) const {
   return static_cast<std::size_t>(above - arc_lengths_.begin()) - 1U;
 }
 
-std::size_t StemAxis::segmentAtHeight(float z) const {
-  // Nodes are about as far from one another, so that the first guess is near.
-  const std::size_t last = nodes_.size() - 2U;
-  const float guess = (z - nodes_.front().position.z()) * segments_per_metre_;
-  std::size_t i =
-      guess > 0.0F ? static_cast<std::size_t>(std::min(guess, static_cast<float>(last))) : 0U;
-  while (i < last && nodes_[i + 1U].position.z() <= z) ++i;
-  while (i > 0U && nodes_[i].position.z() > z) --i;
-  return i;
-}
-
 Eigen::Vector3f StemAxis::directionAt(float s) const {
   return directions_[segmentAt(s)];
 }
@@ -48,14 +38,7 @@ Eigen::Vector3f StemAxis::pointAt(float s) const {
 }
 
 float StemAxis::radiusAt(float s) const {
-  return radiusAt(s, segmentAt(s));
-}
-
-float StemAxis::radiusAt(float s, std::size_t segment) const {
-  const std::size_t i = segment;
-  const float share =
-      std::clamp((s - arc_lengths_[i]) / (arc_lengths_[i + 1] - arc_lengths_[i]), 0.0F, 1.0F);
-  return (1.0F - share) * nodes_[i].radius + share * nodes_[i + 1].radius;
+  return view().radiusAt(s, static_cast<int>(segmentAt(s)));
 }
 
 Eigen::Vector3f StemAxis::pointAtHeight(float z) const {
@@ -89,46 +72,23 @@ StemAxis StemAxis::extendedBy(float length) const {
   return StemAxis(std::move(longer));
 }
 
+AxisView StemAxis::view() const {
+  static_assert(sizeof(Node) == sizeof(AxisNode), "nodes lie in memory as four numbers each");
+  return {reinterpret_cast<const AxisNode*>(nodes_.data()),
+          arc_lengths_.data(),
+          reinterpret_cast<const Place*>(directions_.data()),
+          static_cast<int>(directions_.size()),
+          rising_,
+          segments_per_metre_};
+}
+
 StemAxis::Projection StemAxis::project(const Eigen::Vector3f& point) const {
-  float least = std::numeric_limits<float>::max();  // squared distance
-  std::size_t nearest = 0U;
-  float along = 0.0F;  // the nearest segment
-  const std::size_t last = nodes_.size() - 2;
-  const auto look = [&](std::size_t i) {
-    const Eigen::Vector3f& direction = directions_[i];
-    const Eigen::Vector3f away = point - nodes_[i].position;
-    float t = direction.dot(away);
-    if (i > 0) t = std::max(t, 0.0F);
-    if (i < last) t = std::min(t, arc_lengths_[i + 1] - arc_lengths_[i]);
-    const float squared = (away - t * direction).squaredNorm();
-    if (squared < least) {
-      least = squared;
-      nearest = i;
-      along = t;
-    }
-  };
-  const auto mayBeNearer = [&](float apart) { return apart <= 0.0F || apart * apart <= least; };
-  if (rising_) {
-    // Outwards from the point's own height, until no segment can be nearer.
-    const std::size_t middle = segmentAtHeight(point.z());
-    look(middle);
-    for (std::size_t i = middle + 1U; i <= last && mayBeNearer(nodes_[i].position.z() - point.z());
-         ++i) {
-      look(i);
-    }
-    for (std::size_t i = middle; i > 0U && mayBeNearer(point.z() - nodes_[i].position.z()); --i) {
-      look(i - 1U);
-    }
-  } else {
-    for (std::size_t i = 0; i <= last; ++i) look(i);
-  }
-  Projection best;
-  best.direction = directions_[nearest];
-  best.foot = nodes_[nearest].position + along * best.direction;
-  best.distance = (point - best.foot).norm();
-  best.arc_length = arc_lengths_[nearest] + along;
-  best.radius = radiusAt(best.arc_length, nearest);
-  return best;
+  const AxisProjection at = view().project({point.x(), point.y(), point.z()});
+  return {at.arc_length,
+          at.distance,
+          at.radius,
+          {at.foot.x, at.foot.y, at.foot.z},
+          {at.direction.x, at.direction.y, at.direction.z}};
 }
 
 }  // namespace field_phenotyping

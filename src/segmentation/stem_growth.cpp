@@ -1,135 +1,92 @@
 #include "field_phenotyping/segmentation/stem_growth.hpp"
 
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <utility>
 
+#include "common/gpu_streams.hpp"
+#include "common/xyz.hpp"
 #include "field_phenotyping/common/parallel.hpp"
-#include "field_phenotyping/common/sorted_indices.hpp"
-#include "field_phenotyping/segmentation/growing_surface.hpp"
-#include "field_phenotyping/segmentation/growth_adaptation.hpp"
+#include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/segmentation/leaf_bases.hpp"
-#include "field_phenotyping/segmentation/region_merging.hpp"
-#include "field_phenotyping/segmentation/region_quality.hpp"
+#include "field_phenotyping/segmentation/stem_growth_team.hpp"
 #include "field_phenotyping/segmentation/stem_segments.hpp"
+#include "segmentation/stem_growth_gpu.hpp"
 
 namespace field_phenotyping {
 namespace {
 
-constexpr float kMostM = 0.95F;
+/// One stem that is to grow, with the memory that its task points into: move only. The scene and
+/// the midline must outlive it.
+struct StemToGrow {
+  StemToGrow() = default;
+  StemToGrow(StemToGrow&&) = default;
+  StemToGrow& operator=(StemToGrow&&) = default;
 
-/// M of a segment: a share of the stem's.
-float segmentM(const StemSegment& segment, float M, const SegmentationParameters& parameters) {
-  const double share = segment.branching ? parameters.M_branching : parameters.M_internode;
-  return std::min(static_cast<float>(share) * M, kMostM);
-}
-
-/// Regions as they have grown, and whether each goes on from those below.
-struct Regions {
-  std::vector<GrowthRegion> grown;
-  std::vector<float> evidence;  ///< that its points lie where the surface below leads
+  const Midline* midline = nullptr;
+  LeafBases leaf_bases;
+  std::vector<StemSegment> segments;
+  std::vector<std::uint32_t> members;
+  std::vector<GrowthRegionTask> regions;
+  GrowthTask task;
 };
 
-/// Step 2: a region from each start point to its end point, from the base up. The stem's surface is
-/// completed as they grow (2.6.1): by what it expects each is judged, and each brings it up to
-/// date.
-Regions growRegions(const StemScene& scene, const std::vector<StemSegment>& segments,
-                    const GrowthSettings& settings, const SegmentationParameters& parameters) {
-  const StemAxis& axis = scene.midline().axis;
-  GrowingSurface surface(scene.midline().spread / axis.radiusAt(0.5F * axis.length()));
-  float reached = 0.0F;
-  Regions regions;
-  std::vector<SurfaceSighting> joined;
-  for (const StemSegment& segment : segments) {
-    GrowthSettings own = settings;
-    own.M = segmentM(segment, settings.M, parameters);
-    regions.grown.push_back(
-        growRegion(scene, axis.pointAt(segment.begin), axis.pointAt(segment.end), own));
-    joined.clear();
-    for (const std::uint32_t i : regions.grown.back().points) joined.push_back(scene.sightingOf(i));
-    const float middle = 0.5F * (segment.begin + segment.end);
-    surface.advance(middle - reached);
-    reached = middle;
-    regions.evidence.push_back(surface.evidence(joined));
-    surface.update(joined);
-  }
-  return regions;
+Place placeOf(const Eigen::Vector3f& point) {
+  return {point.x(), point.y(), point.z()};
 }
 
-/// Distances of every region with points from the next one above that has points [m]; none where
-/// the surface that was completed below carries across the gap.
-std::vector<float> distancesLeft(const StemScene& scene, const Regions& regions,
-                                 std::vector<float> distances) {
-  constexpr float kDoubt = -1.0F;  // points may speak against it by so much: the midline, which was
-                                   // found from all of the stem, speaks for it
-  std::size_t next = 0U;
-  bool is_lowest = true;
-  for (std::size_t r = 0; r < regions.grown.size(); ++r) {
-    if (regions.grown[r].points.empty()) continue;
-    if (!is_lowest) {
-      float& distance = distances[next++];
-      const float radius = scene.midline().axis.project(regions.grown[r].start).radius;
-      if (distance <= GrowingSurface::longestCarried(radius) && regions.evidence[r] > kDoubt) {
-        distance = 0.0F;
-      }
-    }
-    is_lowest = false;
-  }
-  return distances;
-}
-
-/// All points of the regions for which `wanted` is not 0; all regions where it is empty.
-std::vector<std::uint32_t> pointsOf(const std::vector<GrowthRegion>& regions,
-                                    const std::vector<std::uint8_t>& wanted = {}) {
-  std::vector<std::uint32_t> points;
-  for (std::size_t r = 0; r < regions.size(); ++r) {
-    if (!wanted.empty() && wanted[r] == 0U) continue;
-    points.insert(points.end(), regions[r].points.begin(), regions[r].points.end());
-  }
-  sortUnique(points);
-  return points;
-}
-
-/// One growth of a stem.
-struct Growth {
-  std::vector<GrowthRegion> regions;
-  std::vector<std::uint8_t> merged;  ///< of each region
-  std::vector<std::uint32_t> points;
-  float quality = 0.0F;
+/// What a growth needs of the parameters beyond those of its task.
+struct GrowthLimits {
+  float least_M;  ///< that a region may have
+  float most_r1;  ///< [m]
 };
 
-/// Steps 2 and 3: growth, merging, and the removal of what was over-segmented.
-/// @param threshold of merging [m]; chosen from the regions' distances where it is not positive
-/// @param crowd     of countCrowd()
-Growth growOnce(const StemScene& scene, std::size_t crowd, const std::vector<StemSegment>& segments,
-                const GrowthSettings& settings, float max_gap, float& threshold,
-                const SegmentationParameters& parameters) {
-  Growth growth;
-  Regions regions = growRegions(scene, segments, settings, parameters);
-  const std::vector<Eigen::Vector3f>& points = scene.cloud().points;
-  const std::vector<float> distances = neighborDistances(points, regions.grown);
-  constexpr float kLeastGap = 0.5F;  // of max_gap: leaves hide as much of a sound stem
-  if (!(threshold > 0.0F)) {
-    threshold = initialMergingThreshold(distances, kLeastGap * max_gap, max_gap);
+/// Fills the task in once its regions are known: which points it can reach, and where they are.
+void setPoints(const GrowthScene& scene, const GrowthLimits& limits,
+               const SegmentationParameters& parameters, StemToGrow& stem) {
+  const StemAxis& axis = stem.midline->axis;
+  GrowthTask& task = stem.task;
+  static_assert(sizeof(LocalShape) == sizeof(LocalShapeNumbers), "one layout");
+  task.points = reinterpret_cast<const Place*>(xyzOf(scene.points));
+  task.shapes = reinterpret_cast<const LocalShapeNumbers*>(scene.shapes.data());
+  task.axis = axis.view();
+  task.spread = stem.midline->spread;
+  // What lies farther off than that is too unlike for any region.
+  constexpr float kRounding = 1.001F;
+  task.least = limits.least_M / kRounding;
+  task.farthest = std::sqrt(std::max(-std::log(task.least), 0.0F) / growth::kSoftness) * kRounding;
+  constexpr float kLeastReach = 1e-3F;  // [m]
+  float reach = kLeastReach;
+  for (const StemAxis::Node& node : axis.nodes()) {
+    reach =
+        std::max(reach, node.radius + task.farthest * growth::scaleOf(task.spread, node.radius));
   }
-  growth.merged = mergeRegions(regions.grown, distancesLeft(scene, regions, distances), threshold);
-  growth.regions = std::move(regions.grown);
-  growth.points = pruneByMidline(points, pointsOf(growth.regions, growth.merged),
-                                 scene.midline().axis, static_cast<float>(parameters.prune_factor));
-  growth.quality = evaluateRegion(scene.cloud(), pointsOf(growth.regions).size(), growth.points,
-                                  scene.midline(), crowd)
-                       .overall;
-  return growth;
+  constexpr float kAside = 1.5F;  // spheres leave the axis, and the ends are straight
+  stem.members = pointsAlong(scene, axis, reach, kAside * limits.most_r1);
+  task.members = stem.members.data();
+  task.count = static_cast<int>(stem.members.size());
+  task.regions = stem.regions.data();
+  task.region_count = static_cast<int>(stem.regions.size());
+
+  constexpr float kBandHeight = 0.10F;  // [m] along the axis, for pruning
+  task.bands = std::max(1, static_cast<int>(std::lround(axis.length() / kBandHeight)));
+  task.band_height = axis.length() / static_cast<float>(task.bands);
+  task.prune_factor = static_cast<float>(parameters.prune_factor);
 }
 
-GrowthSummary summarise(const GrowthSettings& settings, float quality, std::uint32_t iterations) {
-  GrowthSummary summary;
-  summary.quality = quality;
-  summary.iterations = iterations;
-  summary.r1 = settings.r1;
-  summary.M = settings.M;
-  summary.alpha = settings.alpha;
-  summary.beta = settings.beta;
-  return summary;
+/// Grows the stem by `grow` on the CPU. @param visit visit(outcome, memory) is told what came of it
+template <class Grow, class Visit>
+void growAlone(const GrowthTask& task, const Grow& grow, const Visit& visit) {
+  growth::Memory memory{};
+  std::vector<double> room(growth::cut(task, nullptr, memory) / sizeof(double) + 1U);
+  growth::cut(task, reinterpret_cast<char*>(room.data()), memory);
+  growth::Shared shared;
+  int count = 0;
+  float value = 0.0F;
+  StemGrowth<SerialTeam> stem(SerialTeam(), task, memory, {&shared, &count, &value});
+  grow(stem);
+  visit(shared.outcome, memory);
 }
 
 }  // namespace
@@ -138,76 +95,114 @@ GrownStem growCandidate(const GrowthScene& scene, Midline midline,
                         const SegmentationParameters& parameters) {
   // Its leaf bases are not known yet, so less is believed of what lies off its surface.
   constexpr float kStricter = 1.2F;
-  GrowthSettings settings(parameters);
-  settings.M = std::min(kStricter * settings.M, kMostM);
-  std::vector<GrowthRegion> regions;
-  const StemScene stem_scene(scene, midline);
+  StemToGrow stem;
+  stem.midline = &midline;
   const std::vector<StemAxis::Node>& nodes = midline.axis.nodes();
   for (std::size_t k = 0; k + 1U < nodes.size(); ++k) {
-    regions.push_back(growRegion(stem_scene, nodes[k].position, nodes[k + 1U].position, settings));
+    stem.regions.push_back(
+        {placeOf(nodes[k].position), placeOf(nodes[k + 1U].position), 1.0F, 0.0F, 0.0F});
   }
-  GrownStem stem;
-  stem.points = pruneByMidline(scene.points, pointsOf(regions), midline.axis,
-                               static_cast<float>(parameters.prune_factor));
-  stem.midline = std::move(midline);
-  return stem;
+  GrowthSettings& settings = stem.task.first;
+  settings = GrowthSettings(parameters);
+  settings.M = std::min(kStricter * settings.M, growth::kMostM);
+  setPoints(scene, {settings.M, settings.r1}, parameters, stem);
+  GrownStem grown;
+  growAlone(
+      stem.task, [](StemGrowth<SerialTeam>& work) { work.growCandidate(); },
+      [&](const growth::Outcome& outcome, const growth::Memory& memory) {
+        for (int i = 0; i < outcome.points; ++i) {
+          grown.points.push_back(stem.members[memory.best[i]]);
+        }
+      });
+  grown.midline = std::move(midline);
+  return grown;
 }
 
 namespace {
 
-/// growStem() of a stem whose leaf bases are known.
-GrownStem growAmongLeaves(const GrowthScene& scene, const Midline& midline, LeafBases leaf_bases,
-                          float max_gap, const SegmentationParameters& parameters) {
-  const GrowthSettings first(parameters);
-  const auto target = static_cast<float>(parameters.quality_target);
-  const std::vector<StemSegment> segments =
-      splitStem(midline.axis.length(), leaf_bases.arcLengths());
-
-  const StemScene stem_scene(scene, midline, std::move(leaf_bases));
-  const std::size_t crowd = countCrowd(scene, midline);
-  Growth best;
-  GrowthSettings best_settings = first;
-  GrowthSettings settings = first;
-  float threshold = 0.0F;
-  const auto most_cycles = static_cast<std::uint32_t>(parameters.max_growth_cycles);
-  std::uint32_t cycles = 0U;
-  while (cycles < most_cycles) {
-    Growth growth = growOnce(stem_scene, crowd, segments, settings, max_gap, threshold, parameters);
-    ++cycles;
-    const float quality = growth.quality;
-    if (cycles == 1U || quality > best.quality) {
-      best = std::move(growth);
-      best_settings = settings;
-    }
-    if (quality >= target || cycles == most_cycles) break;
-
-    // Step 3d: adapt, and grow again (Step 4).
-    constexpr float kDifference = 0.1F;
-    const auto slope = [&](float GrowthSettings::*weight) {
-      GrowthSettings changed = settings;
-      changed.*weight += kDifference;
-      return (growOnce(stem_scene, crowd, segments, changed, max_gap, threshold, parameters)
-                  .quality -
-              quality) /
-             kDifference;
-    };
-    const QualityGradient gradient{slope(&GrowthSettings::alpha), slope(&GrowthSettings::beta)};
-    settings = adaptSettings(settings, first, quality, target, gradient);
-    threshold = adaptMergingThreshold(threshold, quality, target);
+/// The task of a stem whose leaf bases are known: it is split at its branchings.
+void setTask(const GrowthScene& scene, float max_gap, const SegmentationParameters& parameters,
+             StemToGrow& stem) {
+  const StemAxis& axis = stem.midline->axis;
+  GrowthTask& task = stem.task;
+  task.first = GrowthSettings(parameters);
+  stem.segments = splitStem(axis.length(), stem.leaf_bases.arcLengths());
+  GrowthLimits limits{growth::kMostM, task.first.r1};
+  for (const StemSegment& segment : stem.segments) {
+    const auto share =
+        static_cast<float>(segment.branching ? parameters.M_branching : parameters.M_internode);
+    const Eigen::Vector3f start = axis.pointAt(segment.begin);
+    stem.regions.push_back({placeOf(start), placeOf(axis.pointAt(segment.end)), share,
+                            0.5F * (segment.begin + segment.end),
+                            GrowingSurface::longestCarried(axis.project(start).radius)});
+    limits.least_M = std::min(
+        limits.least_M, growth::regionM(share, std::min(task.first.M, growth::kMostAdaptedM)));
   }
+  if (parameters.max_growth_cycles > 1) limits.most_r1 *= growth::kMostWidened;
+  setPoints(scene, limits, parameters, stem);
+  task.leaf_bases = stem.leaf_bases.all().data();
+  task.base_count = static_cast<int>(stem.leaf_bases.all().size());
+  task.leaf_spread = stem.leaf_bases.spread();
+  task.surface_noise = stem.midline->spread / axis.radiusAt(0.5F * axis.length());
+  task.max_gap = max_gap;
+  task.target = static_cast<float>(parameters.quality_target);
+  task.crowd = static_cast<int>(countCrowd(scene, *stem.midline));
+  task.most_cycles = parameters.max_growth_cycles;
+}
 
-  GrownStem stem;
-  stem.midline = midline;
-  stem.growth = summarise(best_settings, best.quality, cycles);
-  for (std::size_t r = 0; r < segments.size(); ++r) {
-    const GrowthRegion& region = best.regions[r];
-    stem.growth.regions.push_back({region.start, region.end,
-                                   segmentM(segments[r], best_settings.M, parameters),
-                                   segments[r].branching, best.merged[r] != 0U,
-                                   static_cast<std::uint32_t>(region.points.size())});
+/// @param kept members of the task
+GrownStem grownStem(const StemToGrow& stem, const growth::Outcome& outcome,
+                    const growth::RegionResult* regions, const std::uint32_t* kept) {
+  GrownStem grown;
+  grown.midline = *stem.midline;
+  GrowthSummary& summary = grown.growth;
+  summary.quality = outcome.quality;
+  summary.iterations = static_cast<std::uint32_t>(outcome.cycles);
+  summary.r1 = outcome.settings.r1;
+  summary.M = outcome.settings.M;
+  summary.alpha = outcome.settings.alpha;
+  summary.beta = outcome.settings.beta;
+  for (std::size_t r = 0; r < stem.regions.size(); ++r) {
+    const GrowthRegionTask& task = stem.regions[r];
+    summary.regions.push_back({{task.start.x, task.start.y, task.start.z},
+                               {task.end.x, task.end.y, task.end.z},
+                               growth::regionM(task.share, outcome.settings.M),
+                               stem.segments[r].branching,
+                               regions[r].merged,
+                               regions[r].points});
   }
-  stem.points = std::move(best.points);
-  return stem;
+  for (int i = 0; i < outcome.points; ++i) grown.points.push_back(stem.members[kept[i]]);
+  return grown;
+}
+
+GrownStem growAlone(const StemToGrow& stem) {
+  GrownStem grown;
+  growAlone(
+      stem.task, [](StemGrowth<SerialTeam>& work) { work.growStem(); },
+      [&](const growth::Outcome& outcome, const growth::Memory& memory) {
+        grown = grownStem(stem, outcome, memory.results, memory.best);
+      });
+  return grown;
+}
+
+/// Of all these stems on the GPU; false where they are to be grown on the CPU.
+bool growOnGpu(const std::vector<StemToGrow>& stems, const ComputeDevice& device,
+               std::vector<GrownStem>& grown) {
+  if constexpr (kWithCuda) {
+    return device.attempt([&](GpuStream& stream) {
+      std::vector<GrowthTask> tasks;
+      for (const StemToGrow& stem : stems) tasks.push_back(stem.task);
+      const GpuGrowth result = growStemsOnGpu(stream, tasks);
+      const growth::RegionResult* regions = result.regions;
+      const std::uint32_t* points = result.points;
+      for (std::size_t s = 0; s < stems.size(); ++s) {
+        grown[s] = grownStem(stems[s], result.outcomes[s], regions, points);
+        regions += stems[s].regions.size();
+        points += stems[s].members.size();
+      }
+    });
+  }
+  return false;
 }
 
 }  // namespace
@@ -227,11 +222,23 @@ std::vector<GrownStem> growStems(const GrowthScene& scene,
     members[s] = pointsAround(scene, midlines[s]->axis, LeafBases::reachOf(*midlines[s]));
   });
   std::vector<LeafBases> leaf_bases = findLeafBases(scene.points, members, midlines, device);
-  std::vector<GrownStem> stems(midlines.size());
-  parallelFor(midlines.size(), [&](std::size_t s) {
-    stems[s] = growAmongLeaves(scene, *midlines[s], std::move(leaf_bases[s]), max_gap, parameters);
-  });
-  return stems;
+  std::vector<GrownStem> grown(midlines.size());
+  const auto stemToGrow = [&](std::size_t s) {
+    StemToGrow stem;
+    stem.midline = midlines[s];
+    stem.leaf_bases = std::move(leaf_bases[s]);
+    setTask(scene, max_gap, parameters, stem);
+    return stem;
+  };
+  if (!device.hasGpu()) {
+    parallelFor(midlines.size(), [&](std::size_t s) { grown[s] = growAlone(stemToGrow(s)); });
+    return grown;
+  }
+  std::vector<StemToGrow> stems(midlines.size());
+  parallelFor(midlines.size(), [&](std::size_t s) { stems[s] = stemToGrow(s); });
+  if (midlines.empty() || growOnGpu(stems, device, grown)) return grown;
+  parallelFor(midlines.size(), [&](std::size_t s) { grown[s] = growAlone(stems[s]); });
+  return grown;
 }
 
 GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_gap,

@@ -23,6 +23,7 @@
 #include "field_phenotyping/preprocessing/voxel_map.hpp"
 #include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
+#include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "test_scene.hpp"
 
 namespace field_phenotyping {
@@ -447,6 +448,77 @@ TEST_F(Gpu, LeafBasesAreTheSameBitForBit) {
   }
   EXPECT_GT(bases, 200U);
   EXPECT_TRUE(findLeafBases(points, {}, {}, device_).empty());
+}
+
+/// A row of stems among leaves, some with a gap, of few points to many.
+struct RowOfStems {
+  Points points;
+  std::vector<Midline> midlines;
+
+  explicit RowOfStems(unsigned stems) {
+    std::mt19937 random(37U);
+    std::uniform_real_distribution<float> uniform;
+    std::normal_distribution<float> noise(0.0F, 0.002F);
+    for (unsigned s = 0U; s < stems; ++s) {
+      const float x = 0.2F * static_cast<float>(s);
+      for (unsigned i = 0U; i < 130U * s; ++i) {  // the last do not fit into shared memory
+        const float up = 1.2F * uniform(random);
+        if (s % 3U == 1U && up > 0.5F && up < 0.7F) continue;
+        const bool is_leaf = i % 3U == 0U;
+        const float above = std::fmod(up, 0.2F);  // a leaf every 20 cm
+        const float side = is_leaf ? std::floor(up / 0.2F) * 3.1F + 0.6F * uniform(random)
+                                   : 6.3F * uniform(random);
+        const float r = 0.011F + (is_leaf ? 0.4F * above : 0.0F) + noise(random);
+        points.emplace_back(x + 0.03F * up * up + r * std::cos(side), r * std::sin(side), up);
+      }
+      Midline midline;
+      midline.axis = StemAxis({{{x, 0.0F, 0.0F}, 0.012F},
+                               {{x + 0.0108F, 0.0F, 0.6F}, 0.011F},
+                               {{x + 0.0432F, 0.0F, 1.2F}, 0.010F}});
+      midline.spread = 0.002F;
+      midlines.push_back(midline);
+    }
+  }
+};
+
+TEST_F(Gpu, GrownStemsAreTheSameBitForBit) {
+  const RowOfStems row(40U);
+  const NeighborGrid grid(row.points, 0.04F);
+  const std::vector<LocalShape> shapes = computeLocalShapes(row.points, grid, 0.04F);
+  const GrowthScene scene{row.points, shapes, grid};
+  std::vector<const Midline*> midlines;
+  for (const Midline& midline : row.midlines) midlines.push_back(&midline);
+  SegmentationParameters parameters;
+  std::size_t cycles = 0U;
+  for (const double target : {0.7, 1.0}) {  // the other is never reached
+    parameters.quality_target = target;
+    const std::vector<GrownStem> on_cpu = growStems(scene, midlines, 0.3F, parameters);
+    for (int run = 0; run < 2; ++run) {
+      const std::vector<GrownStem> on_gpu = growStems(scene, midlines, 0.3F, parameters, device_);
+      ASSERT_EQ(on_gpu.size(), on_cpu.size());
+      for (std::size_t s = 0; s < on_cpu.size(); ++s) {
+        const GrowthSummary& a = on_cpu[s].growth;
+        const GrowthSummary& b = on_gpu[s].growth;
+        EXPECT_EQ(on_cpu[s].points, on_gpu[s].points) << s;
+        EXPECT_EQ(a.quality, b.quality) << s;
+        EXPECT_EQ(a.iterations, b.iterations) << s;
+        EXPECT_EQ(a.r1, b.r1) << s;
+        EXPECT_EQ(a.M, b.M) << s;
+        EXPECT_EQ(a.alpha, b.alpha) << s;
+        EXPECT_EQ(a.beta, b.beta) << s;
+        ASSERT_EQ(a.regions.size(), b.regions.size()) << s;
+        for (std::size_t r = 0; r < a.regions.size(); ++r) {
+          EXPECT_EQ(a.regions[r].points, b.regions[r].points) << s;
+          EXPECT_EQ(a.regions[r].merged, b.regions[r].merged) << s;
+          EXPECT_EQ(a.regions[r].M, b.regions[r].M) << s;
+        }
+        cycles += b.iterations;
+      }
+    }
+  }
+  EXPECT_GT(cycles, 200U) << "of 40 stems, two times once and two times up to four times";
+  EXPECT_EQ(device_.use().gpu_steps, 8U) << "four times leaf bases and growth";
+  EXPECT_TRUE(growStems(scene, {}, 0.3F, parameters, device_).empty());
 }
 
 TEST_F(Gpu, HeightsAreTheSameBitForBit) {

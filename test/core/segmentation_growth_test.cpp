@@ -11,12 +11,13 @@
 #include <set>
 #include <stdexcept>
 
+#include "field_phenotyping/segmentation/growth_scene.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
 #include "field_phenotyping/segmentation/midline_refinement.hpp"
-#include "field_phenotyping/segmentation/region_growth.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
+#include "growth_room.hpp"
 #include "test_scene.hpp"
 
 namespace field_phenotyping {
@@ -294,16 +295,16 @@ TEST(RegionGrowth, WithoutCandidatesWalksStraightToTheEnd) {
   const auto steps = [&](double beta, double r1) {
     SegmentationParameters parameters = growthParameters(0.2, beta);
     parameters.r1 = r1;
-    const GrowthRegion region =
-        growRegion({cloud.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters));
+    const testing::GrownRegion region = testing::growRegion(cloud.scene(), vagueMidline(), kStart,
+                                                            kEnd, GrowthSettings(parameters));
     EXPECT_TRUE(region.points.empty());
     return region.steps;
   };
   // Eq 2 leaves beta * unit(end - s_k), so Eq 3 steps by beta * r1: 13 steps of 0.08 pass 1 m.
-  EXPECT_EQ(steps(0.8, 0.1), 13U);
+  EXPECT_EQ(steps(0.8, 0.1), 13);
   // The step is held within [0.5, 1] r1: 19 of 0.055 m; 10 of 0.11 m.
-  EXPECT_EQ(steps(0.3, 0.11), 19U);
-  EXPECT_EQ(steps(1.0, 0.11), 10U);
+  EXPECT_EQ(steps(0.3, 0.11), 19);
+  EXPECT_EQ(steps(1.0, 0.11), 10);
 }
 
 TEST(RegionGrowth, SpheresAlongTheWayCollect) {
@@ -313,8 +314,8 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
   for (int k = 0; k <= 200; ++k) points.emplace_back(0.09F, 0.0F, 0.005F * static_cast<float>(k));
   const TinyCloud cloud(points);
   SegmentationParameters parameters = growthParameters(0.0, 0.8);
-  const GrowthRegion region =
-      growRegion({cloud.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters));
+  const testing::GrownRegion region =
+      testing::growRegion(cloud.scene(), vagueMidline(), kStart, kEnd, GrowthSettings(parameters));
   std::vector<std::uint32_t> expected;
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     for (int step = 0; step < 13; ++step) {
@@ -324,14 +325,14 @@ TEST(RegionGrowth, SpheresAlongTheWayCollect) {
       }
     }
   }
-  EXPECT_EQ(region.steps, 13U);
+  EXPECT_EQ(region.steps, 13);
   EXPECT_EQ(region.points, expected);
   ASSERT_GT(expected.size(), 150U);
 
   // The same line farther aside is never reached.
   for (Eigen::Vector3f& point : points) point.x() = 0.101F;
-  EXPECT_TRUE(growRegion({TinyCloud(points).scene(), vagueMidline()}, kStart, kEnd,
-                         GrowthSettings(parameters))
+  EXPECT_TRUE(testing::growRegion(TinyCloud(points).scene(), vagueMidline(), kStart, kEnd,
+                                  GrowthSettings(parameters))
                   .points.empty());
 }
 
@@ -349,9 +350,9 @@ TEST(RegionGrowth, MeanDirectionTurnsTheWalk) {
   };
   SegmentationParameters parameters = growthParameters(0.5, 0.5);
   parameters.max_growth_steps = 2;
-  const GrowthRegion region = growRegion({TinyCloud(points).scene(), vagueMidline()}, kStart, kEnd,
-                                         GrowthSettings(parameters));
-  EXPECT_EQ(region.steps, 2U);
+  const testing::GrownRegion region = testing::growRegion(TinyCloud(points).scene(), vagueMidline(),
+                                                          kStart, kEnd, GrowthSettings(parameters));
+  EXPECT_EQ(region.steps, 2);
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
 }
 
@@ -361,8 +362,8 @@ TEST(RegionGrowth, OpposedCandidatesCancel) {
       {0.09F, 0.0F, 0.0F}, {-0.09F, 0.0F, 0.0F}, {0.0F, 0.0F, 0.149F}, {0.0F, 0.0F, 0.151F}};
   SegmentationParameters parameters = growthParameters(0.6, 0.4);
   parameters.max_growth_steps = 2;
-  const GrowthRegion region = growRegion({TinyCloud(points).scene(), vagueMidline()}, kStart, kEnd,
-                                         GrowthSettings(parameters));
+  const testing::GrownRegion region = testing::growRegion(TinyCloud(points).scene(), vagueMidline(),
+                                                          kStart, kEnd, GrowthSettings(parameters));
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
 }
 
@@ -370,15 +371,16 @@ TEST(RegionGrowth, StopsWhereItLeavesTheSegment) {
   const TinyCloud cloud({{0.09F, 0.0F, -0.01F}, {5.0F, 5.0F, 5.0F}});
   // Eq 4, 5: the walk is over as soon as its projection leaves [0, 1].
   SegmentationParameters parameters = growthParameters(0.0, 1.0);
-  const GrowthRegion forwards = growRegion({cloud.scene(), vagueMidline()}, kStart,
-                                           {0.0F, 0.0F, 0.05F}, GrowthSettings(parameters));
-  EXPECT_EQ(forwards.steps, 1U);
+  const testing::GrownRegion forwards = testing::growRegion(
+      cloud.scene(), vagueMidline(), kStart, {0.0F, 0.0F, 0.05F}, GrowthSettings(parameters));
+  EXPECT_EQ(forwards.steps, 1);
   EXPECT_EQ(forwards.points, std::vector<std::uint32_t>{0U});
   // Drawn backwards by the points: out at the start.
   const TinyCloud behind({{0.0F, 0.0F, -0.09F}});
   parameters = growthParameters(1.0, 0.1);
   EXPECT_EQ(
-      growRegion({behind.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters)).steps,
+      testing::growRegion(behind.scene(), vagueMidline(), kStart, kEnd, GrowthSettings(parameters))
+          .steps,
       1U);
 }
 
@@ -387,19 +389,20 @@ TEST(RegionGrowth, BoundedAndSafe) {
   SegmentationParameters parameters = growthParameters(0.2, 0.8);
   parameters.max_growth_steps = 4;
   EXPECT_EQ(
-      growRegion({cloud.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters)).steps,
+      testing::growRegion(cloud.scene(), vagueMidline(), kStart, kEnd, GrowthSettings(parameters))
+          .steps,
       4U);
   // Nowhere to go: no direction, nothing joins.
-  const GrowthRegion still =
-      growRegion({cloud.scene(), vagueMidline()}, kStart, kStart, GrowthSettings(parameters));
-  EXPECT_EQ(still.steps, 0U);
+  const testing::GrownRegion still = testing::growRegion(cloud.scene(), vagueMidline(), kStart,
+                                                         kStart, GrowthSettings(parameters));
+  EXPECT_EQ(still.steps, 0);
   EXPECT_TRUE(still.points.empty());
   // A point at the seed itself has no direction; it must not spoil the mean.
   parameters.max_growth_steps = 200;
-  const GrowthRegion region =
-      growRegion({cloud.scene(), vagueMidline()}, kStart, kEnd, GrowthSettings(parameters));
+  const testing::GrownRegion region =
+      testing::growRegion(cloud.scene(), vagueMidline(), kStart, kEnd, GrowthSettings(parameters));
   EXPECT_EQ(region.points, (std::vector<std::uint32_t>{0U, 1U, 2U}));
-  EXPECT_LT(region.steps, 25U);
+  EXPECT_LT(region.steps, 25);
 }
 
 TEST(RegionGrowth, PointsAreAscendingAndOnce) {
@@ -409,8 +412,9 @@ TEST(RegionGrowth, PointsAreAscendingAndOnce) {
   Midline midline;
   midline.axis = verticalAxis(1.0F, 0.012F);
   midline.spread = 0.001F;
-  const GrowthRegion region = growRegion({GrowthScene{points, shapes, grid}, midline}, kStart, kEnd,
-                                         GrowthSettings(SegmentationParameters()));
+  const testing::GrownRegion region =
+      testing::growRegion(GrowthScene{points, shapes, grid}, midline, kStart, kEnd,
+                          GrowthSettings(SegmentationParameters()));
   EXPECT_GT(region.points.size(), 950U) << "a clean stem joins";
   EXPECT_TRUE(std::is_sorted(region.points.begin(), region.points.end()));
   const std::set<std::uint32_t> once(region.points.begin(), region.points.end());
@@ -435,8 +439,8 @@ TEST(RegionGrowth, NoMoreJoinTheStricterMIs) {
   std::vector<std::size_t> counts;
   for (double M = 0.05; M <= 1.0; M += 0.05) {
     parameters.M = M;
-    const std::size_t count = growRegion({GrowthScene{points, shapes, grid}, midline}, kStart, kEnd,
-                                         GrowthSettings(parameters))
+    const std::size_t count = testing::growRegion(GrowthScene{points, shapes, grid}, midline,
+                                                  kStart, kEnd, GrowthSettings(parameters))
                                   .points.size();
     EXPECT_LE(count, most) << "M " << M;
     most = count;
@@ -444,6 +448,14 @@ TEST(RegionGrowth, NoMoreJoinTheStricterMIs) {
   }
   EXPECT_GT(counts.front(), 1500U);
   EXPECT_LT(counts.back(), 150U) << "hardly anything is perfectly alike";
+}
+
+float similarity(const GrowthScene& scene, std::uint32_t i, const Midline& midline) {
+  const AxisProjection at = midline.axis.view().project(testing::placeOf(scene.points[i]));
+  const LocalShape& shape = scene.shapes[i];
+  return growth::similarityOf({testing::placeOf(shape.direction), testing::placeOf(shape.normal),
+                               shape.linearity, shape.curvature, shape.neighbors},
+                              at, growth::awayOf(at, midline.spread));
 }
 
 TEST(Similarity, FallsWithDistanceFromTheSurface) {
@@ -486,6 +498,31 @@ TEST(Similarity, AskForANormalAcrossTheAxis) {
 
 // ---------------------------------------------------------------------------- pruning
 
+/// What is left of the members after all of them have grown.
+std::vector<std::uint32_t> prune(const Points& points, const std::vector<std::uint32_t>& members,
+                                 const StemAxis& axis, float factor) {
+  Points some;
+  for (const std::uint32_t i : members) some.push_back(points[i]);
+  Midline midline = vagueMidline();
+  midline.axis = axis;
+  const TinyCloud cloud(some);
+  GrowthSettings settings(growthParameters(0.0, 1.0));
+  settings.r1 = 10.0F;
+  const std::vector<GrowthRegionTask> regions{
+      testing::regionTask(axis.pointAt(0.0F), axis.pointAt(axis.length()))};
+  GrowthTask task = testing::growthTask(cloud.scene(), midline, regions, settings);
+  task.bands = std::max(1, static_cast<int>(std::lround(axis.length() / 0.1F)));
+  task.band_height = axis.length() / static_cast<float>(task.bands);
+  task.prune_factor = factor;
+  testing::GrowthRoom room(task);
+  StemGrowth<SerialTeam>(SerialTeam(), task, room.memory, room.scratch()).growCandidate();
+  std::vector<std::uint32_t> kept;
+  for (int k = 0; k < room.shared.outcome.points; ++k) {
+    kept.push_back(members[room.memory.best[k]]);
+  }
+  return kept;
+}
+
 TEST(Pruning, LikeBruteForceInOneBand) {
   std::mt19937 random(6U);
   std::uniform_real_distribution<float> unit(-1.0F, 1.0F);
@@ -506,7 +543,7 @@ TEST(Pruning, LikeBruteForceInOneBand) {
     for (std::size_t k = 0; k < members.size(); ++k) {
       if (distances[k] <= factor * median) expected.push_back(members[k]);
     }
-    EXPECT_EQ(pruneByMidline(points, members, axis, factor), expected) << factor;
+    EXPECT_EQ(prune(points, members, axis, factor), expected) << factor;
     ASSERT_LT(factor == 1.0F ? expected.size() : 0U, members.size());
   }
 }
@@ -520,7 +557,7 @@ TEST(Pruning, FollowsTheTaper) {
     const float s = 0.05F + 0.019F * static_cast<float>(k);
     points.emplace_back(3.0F * axis.radiusAt(s), 0.0F, s);
   }
-  const auto kept = pruneByMidline(points, allOf(points), axis, 2.2F);
+  const auto kept = prune(points, allOf(points), axis, 2.2F);
   std::size_t stem_kept = 0U;
   for (const std::uint32_t i : kept) stem_kept += i < stem ? 1U : 0U;
   EXPECT_EQ(stem_kept, stem);
@@ -529,9 +566,9 @@ TEST(Pruning, FollowsTheTaper) {
 }
 
 TEST(Pruning, NothingToPrune) {
-  EXPECT_TRUE(pruneByMidline({}, {}, verticalAxis(1.0F, 0.01F), 2.0F).empty());
+  EXPECT_TRUE(prune({}, {}, verticalAxis(1.0F, 0.01F), 2.0F).empty());
   const Points one = {{0.3F, 0.0F, 0.5F}};
-  EXPECT_EQ(pruneByMidline(one, {0U}, verticalAxis(1.0F, 0.01F), 2.0F).size(), 1U);
+  EXPECT_EQ(prune(one, {0U}, verticalAxis(1.0F, 0.01F), 2.0F).size(), 1U);
 }
 
 // ---------------------------------------------------------------------------- midline
@@ -571,7 +608,7 @@ const StemAxis& maizeStem() {
 
 TEST(MidlinePruning, NothingBeyondTheStemsEnd) {
   const Points points{{0.01F, 0.0F, 0.9F}, {0.01F, 0.0F, 0.99F}, {0.01F, 0.0F, 1.02F}};
-  const auto kept = pruneByMidline(points, allOf(points), verticalAxis(1.0F, 0.01F), 2.2F);
+  const auto kept = prune(points, allOf(points), verticalAxis(1.0F, 0.01F), 2.2F);
   EXPECT_EQ(kept, (std::vector<std::uint32_t>{0U, 1U}));
 }
 

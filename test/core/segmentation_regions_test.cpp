@@ -10,10 +10,11 @@
 #include <set>
 
 #include "field_phenotyping/segmentation/growth_adaptation.hpp"
-#include "field_phenotyping/segmentation/region_merging.hpp"
-#include "field_phenotyping/segmentation/region_quality.hpp"
+#include "field_phenotyping/segmentation/region_merging_team.hpp"
+#include "field_phenotyping/segmentation/region_quality_team.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "field_phenotyping/segmentation/stem_segments.hpp"
+#include "growth_room.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -50,12 +51,6 @@ void addLeaf(Points& points, float height, unsigned seed) {
     const float along = 0.3F * unit(random);
     points.emplace_back(kRadius + along, 0.03F * (unit(random) - 0.5F), height + along);
   }
-}
-
-std::vector<std::uint32_t> allOf(const Points& points) {
-  std::vector<std::uint32_t> members(points.size());
-  for (std::uint32_t i = 0; i < members.size(); ++i) members[i] = i;
-  return members;
 }
 
 /// A cloud with all that growth wants to know about it.
@@ -104,14 +99,68 @@ TEST(StemSegments, CoverTheStemWithoutGapOrOverlap) {
 
 // ---------------------------------------------------------------------------- merging (Eq 6, 10)
 
-GrowthRegion regionOf(const Points& points, float low, float high) {
-  GrowthRegion region;
+struct Region {
+  Eigen::Vector3f start = Eigen::Vector3f::Zero();
+  Eigen::Vector3f end = Eigen::Vector3f::UnitZ();
+  std::vector<std::uint32_t> points;
+};
+
+Region regionOf(const Points& points, float low, float high) {
+  Region region;
   region.start = {0.0F, 0.0F, low};
   region.end = {0.0F, 0.0F, high};
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     if (points[i].z() >= low && points[i].z() < high) region.points.push_back(i);
   }
   return region;
+}
+
+GrowthRegionTask taskOf(const Region& region) {
+  return testing::regionTask(region.start, region.end);
+}
+
+growth::Region extentOf(const Points& points, const Region& region) {
+  const Eigen::Vector3f along = (region.end - region.start).normalized();
+  double extents[5] = {0.0, 0.0, 0.0, 1e9, -1e9};
+  for (const std::uint32_t i : region.points) {
+    for (int axis = 0; axis < 3; ++axis) extents[axis] += static_cast<double>(points[i][axis]);
+    const auto at = static_cast<double>(along.dot(points[i]));
+    extents[3] = std::min(extents[3], at);
+    extents[4] = std::max(extents[4], at);
+  }
+  growth::Region extent{};
+  extent.count = static_cast<int>(region.points.size());
+  if (extent.count > 0) setExtent(taskOf(region), extent.count, extents, extent);
+  return extent;
+}
+
+float distanceOf(const Points& points, const Region& low, const Region& high) {
+  float apart = std::numeric_limits<float>::max();
+  for (const std::uint32_t i : low.points) {
+    for (const std::uint32_t k : high.points) {
+      apart = std::min(apart, (points[i] - points[k]).norm());
+    }
+  }
+  return regionDistance(extentOf(points, low), extentOf(points, high), taskOf(low).start,
+                        taskOf(high).end, apart);
+}
+
+/// Which of them belong to the merged region with the most points.
+std::vector<bool> merge(const Points& points, const std::vector<Region>& some, float threshold) {
+  std::vector<growth::Region> regions;
+  std::vector<GrowthRegionTask> tasks;
+  const Region* below = nullptr;
+  for (const Region& region : some) {
+    regions.push_back(extentOf(points, region));
+    tasks.push_back(taskOf(region));
+    if (region.points.empty()) continue;
+    if (below != nullptr) regions.back().distance = distanceOf(points, *below, region);
+    below = &region;
+  }
+  mergeRegions(regions.data(), tasks.data(), static_cast<int>(regions.size()), threshold);
+  std::vector<bool> merged;
+  for (const growth::Region& region : regions) merged.push_back(region.merged);
+  return merged;
 }
 
 /// Points on the z axis, a centimetre apart, without those in [from, to).
@@ -127,20 +176,19 @@ Points lineWithGap(float from, float to) {
 TEST(RegionMerging, DistanceIsTheGapAlongTheAxis) {
   const Points points = lineWithGap(0.395F, 0.595F);
   // Points end at 0.39 and go on at 0.60: 0.21 in each of the three terms.
-  EXPECT_NEAR(regionDistance(points, regionOf(points, 0.0F, 0.5F), regionOf(points, 0.5F, 1.1F)),
-              0.21F, 1e-5F);
+  EXPECT_NEAR(distanceOf(points, regionOf(points, 0.0F, 0.5F), regionOf(points, 0.5F, 1.1F)), 0.21F,
+              1e-5F);
   // Neighbours on an unbroken line are one step apart.
-  EXPECT_NEAR(
-      regionDistance(points, regionOf(points, 0.0F, 0.205F), regionOf(points, 0.205F, 0.5F)), 0.01F,
-      1e-5F);
+  EXPECT_NEAR(distanceOf(points, regionOf(points, 0.0F, 0.205F), regionOf(points, 0.205F, 0.5F)),
+              0.01F, 1e-5F);
 }
 
 TEST(RegionMerging, DistanceByEquationSix) {
   // A region 0.1 m aside: ends 0.1 apart, points 0.1 apart, centroids sqrt(0.1^2 + 0.2^2) of which
   // 0.2 are the regions' own lengths.
   Points points;
-  GrowthRegion low;
-  GrowthRegion high;
+  Region low;
+  Region high;
   low.start = {0.0F, 0.0F, 0.0F};
   low.end = {0.0F, 0.0F, 0.2F};
   high.start = {0.1F, 0.0F, 0.2F};
@@ -153,40 +201,52 @@ TEST(RegionMerging, DistanceByEquationSix) {
   }
   const float centroids = std::sqrt(0.1F * 0.1F + 0.2F * 0.2F) - 0.2F;
   // The facing ends differ by 0.1 m across; along the line of both, they do not overlap.
-  const float d = regionDistance(points, low, high);
-  EXPECT_NEAR(d, 0.3F * centroids + 0.3F * 0.1F + 0.4F * 0.1F, 2e-3F);
-  high.points.clear();
-  EXPECT_EQ(regionDistance(points, low, high), std::numeric_limits<float>::infinity());
+  EXPECT_NEAR(distanceOf(points, low, high), 0.3F * centroids + 0.3F * 0.1F + 0.4F * 0.1F, 2e-3F);
 }
 
 TEST(RegionMerging, SharedPointsAreNoDistance) {
-  Points points = lineWithGap(2.0F, 2.0F);
-  const GrowthRegion low = regionOf(points, 0.0F, 0.6F);
-  const GrowthRegion high = regionOf(points, 0.4F, 1.1F);
-  EXPECT_NEAR(regionDistance(points, low, high), 0.0F, 1e-5F);
+  const Points points = lineWithGap(2.0F, 2.0F);
+  EXPECT_NEAR(distanceOf(points, regionOf(points, 0.0F, 0.6F), regionOf(points, 0.4F, 1.1F)), 0.0F,
+              1e-5F);
 }
 
 TEST(RegionMerging, KeepsTheLargestChain) {
+  using Merged = std::vector<bool>;
   const Points points = lineWithGap(0.295F, 0.595F);
-  const std::vector<GrowthRegion> regions = {
-      regionOf(points, 0.0F, 0.2F), regionOf(points, 0.2F, 0.4F), regionOf(points, 0.4F, 0.55F),
-      regionOf(points, 0.55F, 0.8F), regionOf(points, 0.8F, 1.1F)};
-  const auto merged = [&](const std::vector<GrowthRegion>& some, float threshold) {
-    return mergeRegions(some, neighborDistances(points, some), threshold);
-  };
-  EXPECT_EQ(merged(regions, 0.05F), (std::vector<std::uint8_t>{0, 0, 0, 1, 1}));
-  EXPECT_EQ(merged(regions, 0.5F), (std::vector<std::uint8_t>{1, 1, 0, 1, 1}));
-  EXPECT_EQ(merged({}, 0.5F), std::vector<std::uint8_t>{});
-  EXPECT_EQ(merged({GrowthRegion{}}, 0.5F), std::vector<std::uint8_t>{0});
+  const std::vector<Region> regions = {regionOf(points, 0.0F, 0.2F), regionOf(points, 0.2F, 0.4F),
+                                       regionOf(points, 0.4F, 0.55F), regionOf(points, 0.55F, 0.8F),
+                                       regionOf(points, 0.8F, 1.1F)};
+  EXPECT_EQ(merge(points, regions, 0.05F), (Merged{false, false, false, true, true}));
+  EXPECT_EQ(merge(points, regions, 0.5F), (Merged{true, true, false, true, true}));
+  EXPECT_EQ(merge(points, {}, 0.5F), Merged{});
+  EXPECT_EQ(merge(points, {Region{}}, 0.5F), Merged{false});
+}
+
+TEST(RegionMerging, GoesOnWhereTheSurfaceIsCarried) {
+  growth::Region region{};
+  region.distance = 0.3F;
+  region.evidence = 2.0F;
+  GrowthRegionTask task = taskOf(Region{});
+  task.longest_carried = 0.4F;
+  EXPECT_TRUE(isCarriedTo(region, task));
+  region.evidence = -2.0F;
+  EXPECT_FALSE(isCarriedTo(region, task)) << "the points speak against it";
+  region.evidence = 2.0F;
+  task.longest_carried = 0.2F;
+  EXPECT_FALSE(isCarriedTo(region, task)) << "too far";
 }
 
 TEST(RegionMerging, Thresholds) {
-  std::vector<float> distances;
-  for (int k = 0; k <= 80; ++k) distances.push_back(0.001F * static_cast<float>((37 * k) % 81));
-  EXPECT_NEAR(initialMergingThreshold(distances, 0.01F, 0.4F), 0.070F, 1e-6F);
-  EXPECT_NEAR(initialMergingThreshold(distances, 0.01F, 0.05F), 0.05F, 1e-6F);
-  EXPECT_NEAR(initialMergingThreshold(distances, 0.08F, 0.05F), 0.08F, 1e-6F);
-  EXPECT_NEAR(initialMergingThreshold({}, 0.04F, 0.4F), 0.04F, 1e-6F);
+  const auto initial = [](std::vector<double> distances, float least, float most) {
+    return initialMergingThreshold(distances.data(), static_cast<int>(distances.size()), least,
+                                   most);
+  };
+  std::vector<double> distances;
+  for (int k = 0; k <= 80; ++k) distances.push_back(0.001 * ((37 * k) % 81));
+  EXPECT_NEAR(initial(distances, 0.01F, 0.4F), 0.070F, 1e-6F);
+  EXPECT_NEAR(initial(distances, 0.01F, 0.05F), 0.05F, 1e-6F);
+  EXPECT_NEAR(initial(distances, 0.08F, 0.05F), 0.08F, 1e-6F);
+  EXPECT_NEAR(initial({}, 0.04F, 0.4F), 0.04F, 1e-6F);
 
   EXPECT_FLOAT_EQ(adaptMergingThreshold(0.1F, 0.7F, 0.7F), 0.1F) << "on target: as it is";
   EXPECT_LT(adaptMergingThreshold(0.1F, 0.5F, 0.7F), 0.1F);
@@ -198,55 +258,144 @@ TEST(RegionMerging, Thresholds) {
 
 // ---------------------------------------------------------------------------- quality (Eq 7-9)
 
+float consistencyOf(const std::vector<float>& values, const std::vector<float>& neighbor_means) {
+  float mean = 0.0F;
+  for (const float value : values) mean += value / static_cast<float>(values.size());
+  float sum = 0.0F;
+  for (std::size_t i = 0; i < values.size() && mean > 0.0F; ++i) {
+    sum += quality::consistencyTerm(values[i], neighbor_means[i], mean);
+  }
+  return quality::consistency(mean, sum, static_cast<int>(values.size()));
+}
+
 TEST(RegionQuality, ConsistencyByHand) {
-  EXPECT_FLOAT_EQ(consistency({0.2F, 0.2F, 0.2F}, {0.2F, 0.2F, 0.2F}), 1.0F);
-  EXPECT_FLOAT_EQ(consistency({}, {}), 0.0F);
-  EXPECT_FLOAT_EQ(consistency({0.0F, 0.0F}, {0.0F, 0.0F}), 1.0F) << "a plane is even";
+  EXPECT_FLOAT_EQ(consistencyOf({0.2F, 0.2F, 0.2F}, {0.2F, 0.2F, 0.2F}), 1.0F);
+  EXPECT_FLOAT_EQ(consistencyOf({0.0F, 0.0F}, {0.0F, 0.0F}), 1.0F) << "a plane is even";
   // Values 1 and 3, mean 2: both half a mean off, and a whole mean off each other.
   const double term = 1.0 / 1.5 + 0.5 * std::exp(-2.0 * 1.0);
-  EXPECT_NEAR(consistency({1.0F, 3.0F}, {3.0F, 1.0F}), term / 1.5, 1e-6);
+  EXPECT_NEAR(consistencyOf({1.0F, 3.0F}, {3.0F, 1.0F}), term / 1.5, 1e-6);
   // Units do not matter.
-  EXPECT_NEAR(consistency({100.0F, 300.0F}, {300.0F, 100.0F}), term / 1.5, 1e-6);
+  EXPECT_NEAR(consistencyOf({100.0F, 300.0F}, {300.0F, 100.0F}), term / 1.5, 1e-6);
+}
+
+TEST(RegionQuality, NeighborsAreThoseOnEitherSide) {
+  const auto meanAt = [](int k, int count) {
+    return quality::neighborMean(k, count, [](int j) { return static_cast<float>(j * j); });
+  };
+  EXPECT_EQ(meanAt(0, 1), 0.0F);
+  EXPECT_EQ(meanAt(1, 2), 0.0F);
+  EXPECT_EQ(meanAt(0, 20), (1.0F + 4.0F + 9.0F + 16.0F) / 4.0F);
+  EXPECT_EQ(meanAt(18, 20), (196.0F + 225.0F + 256.0F + 289.0F + 361.0F) / 5.0F);
+}
+
+/// Q of Eq 9 by its definition.
+/// @param kept of the scene's points
+float qualityByHand(const GrowthScene& scene, const Midline& midline, int grown, int crowd,
+                    std::vector<std::uint32_t> kept) {
+  std::vector<StemAxis::Projection> places;
+  for (const Eigen::Vector3f& point : scene.points) places.push_back(midline.axis.project(point));
+  std::sort(kept.begin(), kept.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return places[a].arc_length < places[b].arc_length;
+  });
+  const auto evenness = [&](const auto& valueOf) {
+    std::vector<float> values;
+    std::vector<float> means;
+    for (const std::uint32_t i : kept) values.push_back(valueOf(scene.shapes[i]));
+    const int count = static_cast<int>(values.size());
+    for (int k = 0; k < count; ++k) {
+      float sum = 0.0F;
+      int neighbors = 0;
+      for (int j = std::max(0, k - 4); j <= std::min(count - 1, k + 4); ++j) {
+        if (j == k) continue;
+        sum += values[static_cast<std::size_t>(j)];
+        ++neighbors;
+      }
+      means.push_back(sum / static_cast<float>(neighbors));
+    }
+    return consistencyOf(values, means);
+  };
+  float distances = 0.0F;
+  float farthest = 0.0F;
+  for (const std::uint32_t i : kept) {
+    const float off = std::abs(places[i].distance - places[i].radius);
+    distances += off;
+    farthest = std::max(farthest, off);
+  }
+  const auto count = static_cast<float>(kept.size());
+  const float geometric =
+      0.5F * evenness([](const LocalShape& shape) { return shape.curvature; }) +
+      0.5F * evenness([](const LocalShape& s) { return static_cast<float>(s.neighbors); });
+  const float structural = 0.5F * count / static_cast<float>(grown + crowd) +
+                           0.5F * (1.0F - distances / count / farthest);
+  return 0.2F * geometric + 0.8F * structural;
+}
+
+TEST(RegionQuality, ByItsDefinition) {
+  Points points;
+  addStem(points, 0.0F, 1.2F, 1500U, 6U);
+  for (unsigned k = 0; k < 4U; ++k) addLeaf(points, 0.2F + 0.2F * static_cast<float>(k), 7U + k);
+  const Cloud cloud(points);
+  const Midline midline = uprightMidline(1.2F);
+  std::vector<GrowthRegionTask> regions;
+  for (int k = 0; k < 12; ++k) {
+    const float low = 0.1F * static_cast<float>(k);
+    regions.push_back(testing::regionTask({0.0F, 0.0F, low}, {0.0F, 0.0F, low + 0.1F}));
+  }
+  GrowthTask task = testing::growthTask(cloud.scene(), midline, regions,
+                                        GrowthSettings(SegmentationParameters()));
+  task.crowd = 77;
+  task.prune_factor = 1.2F;
+  testing::GrowthRoom room(task);
+  StemGrowth<SerialTeam>(SerialTeam(), task, room.memory, room.scratch()).growStem();
+  const growth::Outcome& outcome = room.shared.outcome;
+  const std::vector<std::uint32_t> kept(room.memory.best, room.memory.best + outcome.points);
+  ASSERT_GT(kept.size(), 1000U);
+  EXPECT_TRUE(std::is_sorted(kept.begin(), kept.end()));
+  std::set<int> grown;
+  for (int r = 0; r < task.region_count; ++r) {
+    std::uint32_t of_region = 0U;
+    for (int k = 0; k < task.count; ++k) {  // all of them may join
+      if (room.memory.marks[r * task.count + k] == 0U) continue;
+      grown.insert(k);
+      ++of_region;
+    }
+    EXPECT_EQ(room.memory.results[r].points, of_region) << r;
+    EXPECT_TRUE(room.memory.results[r].merged) << r;
+  }
+  EXPECT_GT(grown.size(), kept.size()) << "something was pruned";
+  EXPECT_EQ(outcome.cycles, 1);
+  EXPECT_NEAR(outcome.quality,
+              qualityByHand(cloud.scene(), midline, static_cast<int>(grown.size()), 77, kept),
+              2e-5F);
+}
+
+float scoreOf(const Points& points, float length) {
+  const Cloud cloud(points);
+  SegmentationParameters parameters;
+  parameters.max_growth_cycles = 1;
+  return growStem(cloud.scene(), uprightMidline(length), 0.4F, parameters).growth.quality;
 }
 
 TEST(RegionQuality, CleanStemScoresMoreThanOneAmongLeaves) {
   Points points;
   addStem(points, 0.0F, 1.2F, 3000U, 6U);
-  const std::vector<std::uint32_t> stem = allOf(points);
-  const Midline midline = uprightMidline(1.2F);
-  const Cloud clean(points);
-  const RegionQuality good =
-      evaluateRegion(clean.scene(), stem.size(), stem, midline, countCrowd(clean.scene(), midline));
+  const float good = scoreOf(points, 1.2F);
   addLeaf(points, 0.5F, 7U);
   addLeaf(points, 0.8F, 8U);
-  const Cloud leafy(points);
-  const RegionQuality worse =
-      evaluateRegion(leafy.scene(), stem.size(), stem, midline, countCrowd(leafy.scene(), midline));
-  const RegionQuality pruned = evaluateRegion(leafy.scene(), 2U * stem.size(), stem, midline,
-                                              countCrowd(leafy.scene(), midline));
-  for (const RegionQuality& quality : {good, worse, pruned}) {
-    for (const float part : {quality.geometric, quality.structural, quality.overall}) {
-      EXPECT_GT(part, 0.0F);
-      EXPECT_LE(part, 1.0F);
-    }
-    EXPECT_NEAR(quality.overall, 0.2F * quality.geometric + 0.8F * quality.structural, 1e-6F);
-  }
-  EXPECT_GT(good.overall, worse.overall);
-  EXPECT_GT(worse.overall, pruned.overall) << "half of what had grown was taken away";
-  EXPECT_EQ(evaluateRegion(clean.scene(), 0U, {}, midline, 0U).overall, 0.0F);
+  EXPECT_LE(good, 1.0F);
+  EXPECT_GT(good, scoreOf(points, 1.2F));
+  // Half of what had grown was taken away.
+  EXPECT_GT(quality::qualityOf(0.9F, 0.9F, 1.0F, 0.01F, 1000, 1000, 0).overall,
+            quality::qualityOf(0.9F, 0.9F, 1.0F, 0.01F, 2000, 1000, 0).overall);
 }
 
 TEST(RegionQuality, LengthDoesNotCount) {
-  const auto scoreOf = [](float length) {
+  const auto scoreOfLength = [](float length) {
     Points points;
     addStem(points, 0.0F, length, static_cast<std::size_t>(2500.0F * length), 9U);
-    const Cloud cloud(points);
-    const Midline midline = uprightMidline(length);
-    return evaluateRegion(cloud.scene(), points.size(), allOf(points), midline,
-                          countCrowd(cloud.scene(), midline))
-        .overall;
+    return scoreOf(points, length);
   };
-  EXPECT_NEAR(scoreOf(0.6F), scoreOf(2.4F), 0.05F);
+  EXPECT_NEAR(scoreOfLength(0.6F), scoreOfLength(2.4F), 0.05F);
 }
 
 // ---------------------------------------------------------------------------- Eq 11-14

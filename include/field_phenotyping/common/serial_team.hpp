@@ -22,6 +22,11 @@ struct VectorLanes {
   }
   static Mask atMost(const Float& a, const Float& b) { return a <= b; }
   static Mask both(const Mask& a, const Mask& b) { return a & b; }
+  static void mark(const Mask& mask, unsigned char* marks, std::size_t i) {
+    for (unsigned bits = bitsOf(mask); bits != 0U; bits &= bits - 1U) {
+      marks[i + static_cast<std::size_t>(__builtin_ctz(bits))] = 1U;
+    }
+  }
   static Float where(const Mask& mask, const Float& value) { return mask ? value : Float{}; }
   static Float larger(const Float& a, const Float& b) { return largerOf(a, b); }
   static Float squareRoot(const Float& value) { return squareRootOf(value); }

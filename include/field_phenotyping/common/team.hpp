@@ -49,6 +49,7 @@ constexpr std::size_t kLanes = 4U;
 //   void store(Float, float* values, std::size_t i, std::size_t count) const   the reverse
 //   Mask before(std::size_t i, std::size_t count) const   the lanes of values[i] ... below `count`
 //   Mask atMost(Float a, Float b) const, both(Mask a, Mask b) const
+//   void mark(Mask, unsigned char* marks, std::size_t i) const   marks[i] ... = 1 where it is true
 //   Float larger(Float a, Float b) const, smaller(Float a, Float b) const
 //   Float squareRoot(Float) const
 //   Float magnitude(Float) const, clamped(Float, float low, float high) const
@@ -157,6 +158,9 @@ struct ThreadLanes {
   FIELD_PHENOTYPING_HD static float exponential(float value) { return exponentialOfLane(value); }
   FIELD_PHENOTYPING_HD static bool atMost(float a, float b) { return a <= b; }
   FIELD_PHENOTYPING_HD static bool both(bool a, bool b) { return a && b; }
+  FIELD_PHENOTYPING_HD void mark(bool mask, unsigned char* marks, std::size_t i) const {
+    if (mask) marks[i + lane] = 1U;
+  }
   FIELD_PHENOTYPING_HD static float where(bool mask, float value) { return mask ? value : 0.0F; }
   FIELD_PHENOTYPING_HD static float choose(bool mask, float a, float b) { return mask ? a : b; }
   FIELD_PHENOTYPING_HD float numbers() const { return static_cast<float>(lane); }

@@ -84,6 +84,36 @@ FIELD_PHENOTYPING_HD double teamSelect(const Team& team, double* values, int cou
   return value;
 }
 
+/// take(i, n) for those of 0 ... count - 1 for which holds(i), n counting them in their order.
+/// @param counts one for each member
+/// @return how many they are; all may read what was taken
+template <class Team, class Holds, class Take>
+FIELD_PHENOTYPING_HD int teamPick(const Team& team, int count, const Holds& holds, const Take& take,
+                                  int* counts) {
+  const int size = static_cast<int>(team.size());
+  const int rank = static_cast<int>(team.rank());
+  const int part = (count + size - 1) / size;
+  const int begin = rank * part < count ? rank * part : count;
+  const int end = count - begin < part ? count : begin + part;
+  int taken = 0;
+  int all = 0;
+  if constexpr (!Team::kAlone) {
+    int own = 0;
+    for (int i = begin; i < end; ++i) own += holds(i) ? 1 : 0;
+    counts[rank] = own;
+    team.sync();
+    for (int member = 0; member < size; ++member) {
+      if (member == rank) taken = all;
+      all += counts[member];
+    }
+  }
+  for (int i = begin; i < end; ++i) {
+    if (holds(i)) take(i, taken++);
+  }
+  team.sync();
+  return Team::kAlone ? taken : all;
+}
+
 /// Sorts items by less(a, b), equal ones in the order that they come in.
 /// @param items, other as many; all members must see the same memory, which is complete when they
 ///        come here
@@ -104,6 +134,25 @@ FIELD_PHENOTYPING_HD Item* teamSort(const Team& team, Item* items, Item* other, 
     }
   }
   team.sync();
+  if constexpr (Team::kAlone) {
+    // Two runs become one, item by item.
+    for (int width = kRun; width < count; width *= 2) {
+      for (int begin = 0; begin < count; begin += 2 * width) {
+        const int middle = count - begin < width ? count : begin + width;
+        const int end = count - middle < width ? count : middle + width;
+        int a = begin;
+        int b = middle;
+        for (int i = begin; i < end; ++i) {
+          const bool takes_second = a == middle || (b < end && less(items[b], items[a]));
+          other[i] = takes_second ? items[b++] : items[a++];
+        }
+      }
+      Item* const sorted = other;
+      other = items;
+      items = sorted;
+    }
+    return items;
+  }
   // Two runs become one: an item's place is where it is in its own run, and how many of the other
   // run come before it.
   for (int width = kRun; width < count; width *= 2) {

@@ -38,6 +38,8 @@ class LeafBases {
   /// By arc length.
   const std::vector<LeafBase>& all() const { return bases_; }
   std::vector<float> arcLengths() const;
+  /// Noise of the surface that they were found about [m].
+  float spread() const { return spread_; }
 
   /// Probability that a point near the surface is a leaf base's rather than the stem's, [0, 1].
   float leafShare(const Eigen::Vector3f& point, const StemAxis& axis) const;

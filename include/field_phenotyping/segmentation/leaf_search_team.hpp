@@ -135,6 +135,40 @@ FIELD_PHENOTYPING_HD inline Influence<Float> influenceOf(const Lanes& lanes, con
   return influence;
 }
 
+/// What leaf bases do to places together.
+template <class Lanes, class Float>
+FIELD_PHENOTYPING_HD inline Influence<Float> influenceOfAll(const Lanes& lanes,
+                                                            const LeafBase* bases, int count,
+                                                            const Places<Float>& place,
+                                                            float blur) {
+  Influence<Float> all{lanes.all(0.0F), lanes.all(0.0F)};
+  for (int k = 0; k < count; ++k) {
+    const Float above = place.arc_length - bases[k].arc_length;
+    if (!lanes.any(lanes.both(lanes.atMost(lanes.all(-2.0F * blur), above),
+                              lanes.atMost(above, lanes.all(kLongest))))) {
+      continue;
+    }
+    const Influence<Float> one = influenceOf(lanes, bases[k], place, blur);
+    all.leaf += one.leaf;
+    all.hidden = lanes.larger(all.hidden, one.hidden);
+  }
+  return all;
+}
+
+/// Density of a stem's points across its surface [1/m], of 1 on it, with no leaf in front.
+FIELD_PHENOTYPING_HD inline float stemDensity(float distance, float radius, float spread) {
+  constexpr float kInverseRootTwoPi = 0.39894228F;
+  const float off = (distance - radius) / spread;
+  return kInverseRootTwoPi / spread *
+         static_cast<float>(exponential(static_cast<double>(-0.5F * off * off)));
+}
+
+/// Probability that a point is a leaf base's rather than the stem's.
+/// @param stem density of the stem's points there
+FIELD_PHENOTYPING_HD inline float shareOf(float leaf, float hidden, float stem) {
+  return leaf > 0.0F ? leaf / (leaf + (1.0F - hidden) * stem) : 0.0F;
+}
+
 /// How far a round of the search moves a base.
 struct Steps {
   float along = 1.5F * kVoteStep;                      // [m]

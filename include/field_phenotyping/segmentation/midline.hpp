@@ -41,10 +41,4 @@ Midline followMidline(const std::vector<Eigen::Vector3f>& points,
                       const std::vector<std::uint32_t>& members, const StemAxis& known,
                       float max_radius, float plant_height);
 
-/// Removes over-segmented points (2.4.2, Steps 2-4): those farther from the midline than `factor`
-/// times the median distance of their height band (Eq 16). Keeps the order.
-std::vector<std::uint32_t> pruneByMidline(const std::vector<Eigen::Vector3f>& points,
-                                          const std::vector<std::uint32_t>& members,
-                                          const StemAxis& axis, float factor);
-
 }  // namespace field_phenotyping

@@ -7,6 +7,8 @@
 
 namespace field_phenotyping {
 
+struct AxisView;
+
 /// Curved midline of a stem (the paper's L(t), Eq 15, piecewise): a polyline whose nodes rise from
 /// the base to the top of the stem, each with the stem's radius there.
 ///
@@ -60,11 +62,11 @@ class StemAxis {
   bool empty() const { return nodes_.empty(); }
   const std::vector<Node>& nodes() const { return nodes_; }
 
+  /// What projections run on; holds while the axis lives and is not assigned to.
+  AxisView view() const;
+
  private:
   std::size_t segmentAt(float s) const;
-  /// The highest segment that begins at that height or below, else the first. Of a rising axis.
-  std::size_t segmentAtHeight(float z) const;
-  float radiusAt(float s, std::size_t segment) const;
 
   std::vector<Node> nodes_;
   std::vector<float> arc_lengths_;

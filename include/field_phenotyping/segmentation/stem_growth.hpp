@@ -5,7 +5,7 @@
 
 #include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/parameters.hpp"
-#include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/growth_scene.hpp"
 #include "field_phenotyping/segmentation/segmented_block.hpp"
 
 namespace field_phenotyping {
@@ -18,7 +18,8 @@ struct GrownStem {
 };
 
 /// Steps 2 and 3 once, with one M, for a candidate that may be no stem: regions grown between the
-/// nodes of the midline, what was over-segmented removed (2.4.2). Thread-safe.
+/// nodes of the midline, what was over-segmented removed (2.4.2). On the CPU, between the steps
+/// that look for stems. Thread-safe.
 GrownStem growCandidate(const GrowthScene& scene, Midline midline,
                         const SegmentationParameters& parameters);
 
@@ -33,7 +34,9 @@ GrownStem growCandidate(const GrowthScene& scene, Midline midline,
 GrownStem growStem(const GrowthScene& scene, const Midline& midline, float max_gap,
                    const SegmentationParameters& parameters);
 
-/// The same of many stems, on all cores and, as far as it is written for one, on the GPU.
+/// The same of many stems, on all cores or, a thread block each, on the GPU, with the same bits:
+/// there growth, merging, pruning, quality and cycles of all of them in one launch. Which points
+/// lie round each, how it is split and how many points crowd round it are found on the CPU.
 /// @param midlines not null
 std::vector<GrownStem> growStems(const GrowthScene& scene,
                                  const std::vector<const Midline*>& midlines, float max_gap,

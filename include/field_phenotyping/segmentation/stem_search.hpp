@@ -4,7 +4,7 @@
 
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
-#include "field_phenotyping/segmentation/region_growth.hpp"
+#include "field_phenotyping/segmentation/growth_scene.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "field_phenotyping/segmentation/stem_seeds.hpp"
 #include "field_phenotyping/segmentation/stem_verification.hpp"
