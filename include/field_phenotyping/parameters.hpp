@@ -151,22 +151,27 @@ struct SegmentationParameters {
         p.quality_target, 0.0, 1.0);
     v(ParameterInfo{"max_growth_cycles", "", "a stem is grown at most this often (Step 4)"},
       p.max_growth_cycles, 1, 100);
-    v(ParameterInfo{"seed_min_height", "m", "seeds are looked for from this height above the soil"},
+    v(ParameterInfo{"seed_min_height", "m",
+                    "seeds are looked for from this height above the soil, or 0.03 of the plants' "
+                    "if that is lower"},
       p.seed_min_height, 0.0, 2.0);
     v(ParameterInfo{"seed_max_height", "m",
                     "seeds are looked for up to this height above the soil"},
       p.seed_max_height, 0.1, 5.0);
     v(ParameterInfo{"seed_slab", "m",
-                    "height of the slabs that stem evidence is collected in; widened likewise"},
+                    "height of the slabs that stem evidence is collected in; widened likewise, and "
+                    "lower in proportion for plants below 0.5 m"},
       p.seed_slab, 0.01, 0.5);
     v(
         ParameterInfo{
             "seed_radius", "m",
             "neighbourhood for the local shape of a point; widened by half in sparse clouds"},
         p.seed_radius, 0.01, 0.5);
-    v(ParameterInfo{"seed_min_length", "m",
-                    "shortest upright run of stem evidence that makes a candidate for a stem"},
-      p.seed_min_length, 0.02, 2.0);
+    v(
+        ParameterInfo{
+            "seed_min_length", "m",
+            "shortest upright run of stem evidence that makes a candidate for a stem; likewise"},
+        p.seed_min_length, 0.02, 2.0);
     v(ParameterInfo{"seed_min_score", "",
                     "least stem evidence that makes a candidate for a stem, in slabs that show it"},
       p.seed_min_score, 0.1, 100.0);

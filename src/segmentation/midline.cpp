@@ -39,10 +39,11 @@ struct Scale {
     constexpr double kFull = 1.2;      // [m] plants as high as this show stems a full step long
     constexpr double kLeast = 0.25;    // of full steps
     constexpr double kSlender = 50.0;  // heights of a plant to the radius of its stem, at least
+    constexpr double kStocky = 0.006;  // [m] radius that seedlings reach though they are low
     const auto widest = static_cast<double>(max_radius);
     const auto height = static_cast<double>(plant_height);
     const double size = std::clamp(height / kFull, kLeast, 1.0);
-    thickest = std::min(widest, height / kSlender);
+    thickest = std::min(widest, std::max(height / kSlender, kStocky));
     reach = 1.2 * std::sqrt(widest * thickest);
     spacing = 0.05 * size;
     share_band = 0.10 * size;

@@ -12,6 +12,7 @@
 #include "field_phenotyping/segmentation/growth_scene.hpp"
 #include "field_phenotyping/segmentation/isolated_points.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
+#include "field_phenotyping/segmentation/low_stand.hpp"
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "field_phenotyping/segmentation/stand_fit.hpp"
@@ -197,17 +198,6 @@ SegmentationParameters adaptToDensity(const std::vector<Eigen::Vector3f>& points
   return parameters;
 }
 
-/// Looks for the stems of low plants from nearer to the soil: leaves begin right above it there.
-SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters parameters) {
-  constexpr double kShare = 0.03;   // of the plants' height
-  constexpr double kLowest = 0.01;  // [m] below it soil is left
-  constexpr float kWeeds = 0.20F;   // [m] what is lower looks like weeds from nearer
-  if (plant_height < kWeeds) return parameters;
-  parameters.seed_min_height = std::min(
-      parameters.seed_min_height, std::max(kShare * static_cast<double>(plant_height), kLowest));
-  return parameters;
-}
-
 }  // namespace
 
 SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wanted,
@@ -216,19 +206,18 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   if (points.empty()) return assemble(block, {}, {}, {});
   constexpr float kCell = 1.0F;  // of the radius of most queries
   NeighborGrid grid(points, kCell * static_cast<float>(wanted.seed_radius));
-  SegmentationParameters parameters = adaptToDensity(points, grid, wanted);
+  const SegmentationParameters parameters = adaptToDensity(points, grid, wanted);
   const auto radius = static_cast<float>(parameters.seed_radius);
   if (parameters.seed_radius != wanted.seed_radius) grid = NeighborGrid(points, kCell * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius, device);
   const GrowthScene scene{points, shapes, grid};
   const float plant_height = canopyHeight(scene, block.ground);
-  parameters = adaptToHeight(plant_height, parameters);
   const StemSelection selection(block, grid, parameters);
 
   // Step 1: start points, and the stems that grow from them; where those are, and where they end.
-  std::vector<GrownStem> stems =
-      fitStand(scene, selection, plant_height,
-               findStems(scene, block, selection, plant_height, parameters), parameters, device);
+  std::vector<GrownStem> stems = fitStand(
+      scene, selection, plant_height,
+      findStandingStems(scene, block, selection, plant_height, parameters), parameters, device);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.
   const float max_gap = longestGap(stems);

@@ -1,0 +1,154 @@
+// Seedlings whose stems are shorter than the pieces that tall plants are looked for by.
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <random>
+
+#include "field_phenotyping/segmentation/low_stand.hpp"
+#include "field_phenotyping/segmentation/segmentation.hpp"
+#include "test_scene.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+using testing::basesOf;
+using testing::blockOf;
+using testing::levelSoil;
+using testing::matchBases;
+using testing::PlantTruth;
+using testing::Scene;
+
+/// Seedlings 18 cm tall: 8 cm of stem, above it two pairs of leaves that open slowly.
+class Seedlings {
+ public:
+  explicit Seedlings(unsigned seed) : scene(levelSoil(), seed, 0.002), random_(seed) {}
+
+  void add(double x, double y) {
+    PlantTruth plant;
+    plant.base = {x, y};
+    plant.stem_length = kStem;
+    plant.radius = 0.003;
+    plant.leaves = 0;
+    plant.stem_points_per_metre = 300;
+    const auto index = static_cast<int>(scene.plants.size());
+    scene.addPlant(plant);
+    const double azimuth = M_PI * unit_(random_);
+    for (const double slope : {0.25, 0.8}) {
+      for (const double side : {-1.0, 1.0}) addLeaf(index, plant.base, azimuth, side * slope);
+    }
+  }
+
+  void addRow(double y) {
+    std::normal_distribution<double> stray(0.0, 0.01);
+    for (double x = -0.9; x < 0.91; x += 0.2) add(x + stray(random_), y + stray(random_));
+  }
+
+  Scene scene;
+
+ private:
+  static constexpr double kStem = 0.08;
+
+  void addLeaf(int plant, const Eigen::Vector2d& base, double azimuth, double slope) {
+    constexpr int kPoints = 20;
+    constexpr double kRise = 0.10;
+    std::normal_distribution<double> noise(0.0, 0.003);
+    for (int k = 0; k < kPoints; ++k) {
+      const double rise = kRise * unit_(random_);
+      scene.cloud.points.emplace_back(
+          static_cast<float>(base.x() + slope * rise * std::cos(azimuth) + noise(random_)),
+          static_cast<float>(base.y() + slope * rise * std::sin(azimuth) + noise(random_)),
+          static_cast<float>(kStem + rise));
+      scene.truth.push_back({plant, false, false});
+    }
+  }
+
+  std::mt19937 random_;
+  std::uniform_real_distribution<double> unit_{0.0, 1.0};
+};
+
+/// Plants that were found where one stands, and elsewhere.
+struct Found {
+  std::size_t right = 0U;
+  std::size_t wrong = 0U;
+};
+
+Found find(const Scene& scene) {
+  const SegmentedBlock out = segmentBlock(blockOf(scene, levelSoil()), {});
+  Found found;
+  found.right = matchBases(basesOf(scene), basesOf(out)).pairs.size();
+  found.wrong = out.plants.size() - found.right;
+  return found;
+}
+
+TEST(LowStand, PiecesShrinkWithThePlants) {
+  SegmentationParameters asked;
+  asked.seed_min_length = 0.2;
+  for (const float height : {0.5F, 0.51F, 2.5F}) {
+    const SegmentationParameters tall = adaptToHeight(height, asked);
+    EXPECT_EQ(tall.seed_slab, asked.seed_slab) << height;
+    EXPECT_EQ(tall.seed_min_length, asked.seed_min_length) << height;
+  }
+  const SegmentationParameters low = adaptToHeight(0.25F, asked);
+  EXPECT_NEAR(low.seed_slab, 0.5 * asked.seed_slab, 1e-9);
+  EXPECT_NEAR(low.seed_min_length, 0.5 * asked.seed_min_length, 1e-9);
+  EXPECT_NEAR(low.seed_min_height, 0.01, 1e-9);
+  EXPECT_NEAR(adaptToHeight(1.0F, asked).seed_min_height, 0.03, 1e-9);
+  EXPECT_EQ(adaptToHeight(2.5F, asked).seed_min_height, asked.seed_min_height);
+  EXPECT_NEAR(adaptToHeight(0.01F, asked).seed_slab, adaptToHeight(0.15F, asked).seed_slab, 1e-6)
+      << "not ever shorter where there is but soil";
+}
+
+TEST(LowStand, SeedlingsAreFoundInTheirRows) {
+  std::size_t plants = 0U;
+  Found found;
+  for (unsigned seed = 1U; seed <= 4U; ++seed) {
+    Seedlings field(seed);
+    for (const double y : {-0.5, 0.0, 0.5}) field.addRow(y);
+    plants += field.scene.plants.size();
+    const Found here = find(field.scene);
+    found.right += here.right;
+    found.wrong += here.wrong;
+  }
+  std::printf("%zu of %zu, %zu wrong\n", found.right, plants, found.wrong);
+  EXPECT_GE(100U * found.right, 95U * plants);
+  EXPECT_GE(100U * found.right, 95U * (found.right + found.wrong));
+}
+
+TEST(LowStand, WeedsBetweenTheRowsAreNoPlants) {
+  std::size_t plants = 0U;
+  Found found;
+  for (unsigned seed = 1U; seed <= 4U; ++seed) {
+    Seedlings field(seed);
+    for (const double y : {-0.6, 0.0, 0.6}) field.addRow(y);
+    plants += field.scene.plants.size();
+    for (int k = 0; k < 6; ++k) {
+      field.scene.addWeed({-0.9 + 0.31 * k, k % 2 == 0 ? 0.28 : -0.33}, 0.10 + 0.01 * k);
+    }
+    const Found here = find(field.scene);
+    found.right += here.right;
+    found.wrong += here.wrong;
+  }
+  std::printf("%zu of %zu, %zu wrong\n", found.right, plants, found.wrong);
+  EXPECT_GE(100U * found.right, 90U * plants);
+  EXPECT_GE(100U * found.right, 95U * (found.right + found.wrong));
+}
+
+// As low as weeds, and in no rows: nothing tells them from weeds.
+TEST(LowStand, WithoutRowsShortPiecesAreNoPlants) {
+  Found found;
+  for (unsigned seed = 1U; seed <= 4U; ++seed) {
+    std::mt19937 random(seed);
+    std::uniform_real_distribution<double> place(-0.9, 0.9);
+    Scene scene(levelSoil(), seed);
+    for (int k = 0; k < 30; ++k) scene.addWeed({place(random), place(random)}, 0.05 + 0.005 * k);
+    found.wrong += find(scene).wrong;
+  }
+  std::printf("%zu of 120 weeds\n", found.wrong);
+  EXPECT_LE(found.wrong, 2U);
+}
+
+}  // namespace
+}  // namespace field_phenotyping
