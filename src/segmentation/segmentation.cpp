@@ -7,6 +7,7 @@
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/segmentation/crown_points.hpp"
 #include "field_phenotyping/segmentation/foot_points.hpp"
 #include "field_phenotyping/segmentation/found_twice.hpp"
 #include "field_phenotyping/segmentation/growth_scene.hpp"
@@ -25,14 +26,12 @@ namespace field_phenotyping {
 namespace {
 
 /// About how high the block's plants are; soil does not count, nor a few points above them.
-float canopyHeight(const GrowthScene& scene, const GroundModel& ground) {
+float canopyHeight(std::vector<float> heights) {
   constexpr float kSoil = 0.05F;  // [m]
   constexpr float kShare = 0.98F;
-  std::vector<float> heights;
-  for (const Eigen::Vector3f& point : scene.points) {
-    const float height = ground.heightAbove(point);
-    if (height > kSoil) heights.push_back(height);
-  }
+  heights.erase(std::remove_if(heights.begin(), heights.end(),
+                               [](float height) { return !(height > kSoil); }),
+                heights.end());
   if (heights.empty()) return kSoil;
   const auto high = heights.begin() +
                     static_cast<std::ptrdiff_t>(kShare * static_cast<float>(heights.size() - 1U));
@@ -210,8 +209,11 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const auto radius = static_cast<float>(parameters.seed_radius);
   if (parameters.seed_radius != wanted.seed_radius) grid = NeighborGrid(points, kCell * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius, device);
-  const GrowthScene scene{points, shapes, grid};
-  const float plant_height = canopyHeight(scene, block.ground);
+  std::vector<float> heights;
+  heights.reserve(points.size());
+  for (const Eigen::Vector3f& point : points) heights.push_back(block.ground.heightAbove(point));
+  const GrowthScene scene{points, shapes, grid, SamplingProfile(heights, shapes)};
+  const float plant_height = canopyHeight(std::move(heights));
   const StemSelection selection(block, grid, parameters);
 
   // Step 1: start points, and the stems that grow from them; where those are, and where they end.
@@ -230,7 +232,9 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   PointOwners owners;
   const auto giveToPlants = [&] {
     owners.stem = resolveOwners(scene, stems);
-    owners.plant = assignOrgans(block, axesOf(stems), owners.stem, parameters, device);
+    const std::vector<StemAxis> axes = axesOf(stems);
+    owners.plant = assignOrgans(block, axes, owners.stem, parameters, device);
+    giveCrownPoints(block, axes, owners.plant);
   };
   giveToPlants();
   const std::vector<bool> tillers = findTillers(scene, block, stems, owners.plant);

@@ -18,6 +18,49 @@ namespace {
 
 constexpr float kSeedling = 0.7F;  // [m] lower than plants whose stems have grown out of the whorl
 
+/// Whether an axis is another one, carried on.
+bool staysOn(const StemAxis& longer, const StemAxis& axis) {
+  constexpr float kApart = 0.01F;  // [m]
+  return longer.length() > axis.length() &&
+         std::all_of(axis.nodes().begin(), axis.nodes().end(), [&](const StemAxis::Node& node) {
+           return longer.project(node.position).distance < kApart;
+         });
+}
+
+/// Carries stems on upwards as far as points show them. What is sampled ever more sparsely above
+/// looks empty as long as it is not known how sparsely, so that they end too low.
+void carryOn(const GrowthScene& scene, float max_radius, float plant_height,
+             std::vector<GrownStem>& stems) {
+  constexpr float kStep = 0.25F;   // [m]
+  constexpr float kLeast = 0.05F;  // [m] that counts as going on
+  constexpr int kMostSteps = 6;
+  parallelFor(stems.size(), [&](std::size_t s) {
+    Midline midline = stems[s].midline;
+    bool goes_on = false;
+    for (int step = 0; step < kMostSteps; ++step) {
+      const float end = midline.axis.length();
+      if (scene.sampling.at(static_cast<double>(end)) >= 1.0) break;
+      Midline longer = midline;
+      longer.axis = midline.axis.extendedBy(kStep);
+      const std::vector<std::uint32_t> around =
+          pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
+      const float occupied = findOccupiedEnd(scene.points, around, longer, scene.sampling);
+      if (occupied < end + kLeast) break;
+      Midline fitted =
+          fitMidline(scene.points, around, longer.axis.below(occupied), max_radius, plant_height);
+      if (!staysOn(fitted.axis, midline.axis)) break;
+      midline = std::move(fitted);
+      goes_on = true;
+    }
+    if (!goes_on) return;
+    midline.axis = midline.axis.extendedBy(kStep);
+    midline.axis = midline.axis.below(
+        findStemTop(scene.points, pointsAround(scene, midline.axis, kStemSurroundings * max_radius),
+                    midline, scene.sampling));
+    if (midline.axis.length() > stems[s].midline.axis.length()) stems[s].midline = midline;
+  });
+}
+
 /// Where a stem of that stand ends; its axis has been cut where it alone shows an end.
 Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLength& stand,
                       float max_radius, float plant_height) {
@@ -30,7 +73,8 @@ Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLeng
   longer.axis = axis.extendedBy(longest - axis.length());
   const std::vector<std::uint32_t> around =
       pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
-  midline.axis = longer.axis.below(findStemTop(scene.points, around, longer, stand));
+  midline.axis =
+      longer.axis.below(findStemTop(scene.points, around, longer, scene.sampling, stand));
   return midline;
 }
 
@@ -69,7 +113,7 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
     lengths[s] = static_cast<double>(stems[s].midline.axis.length());
     heights[s] = canopyAlong(scene, stems[s].midline.axis, plant_height);
   });
-  const std::vector<StandLength> stands = standLengths(lengths, heights);
+  const std::vector<StandLength> stands = standLengths(lengths, heights, scene.sampling);
   // Rolled leaves run on where a whorl begins. Where nothing else shows that a stem came out too
   // long, leaves are believed to stand in its core more densely than beside it.
   constexpr double kAlone = 2.0;
@@ -82,7 +126,8 @@ void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
       longer.axis = midline.axis.extendedBy(kBeyondEnd * plant_height);
       const std::vector<std::uint32_t> around =
           pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
-      midline.axis = longer.axis.below(findStemTop(scene.points, around, longer, {}, kAlone));
+      midline.axis =
+          longer.axis.below(findStemTop(scene.points, around, longer, scene.sampling, {}, kAlone));
     }
   });
 }
@@ -162,6 +207,7 @@ std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& s
                                 const SegmentationParameters& parameters,
                                 const ComputeDevice& device) {
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  carryOn(scene, max_radius, plant_height, stems);
   constexpr double kWidened = 1.2;  // of a midline among leaves
   refineMidlines(scene, max_radius, plant_height, kWidened, false, device, stems);
   poolEnds(scene, max_radius, plant_height, stems);

@@ -15,14 +15,31 @@ double lengthDensity(const StandLength& stand, double length) {
   return normalDensity(length - stand.typical, stand.spread);
 }
 
-/// Density of the length shown where the axis runs on [1/m]: normal and exponential convolved.
-double excessDensity(const StandLength& stand, double shown) {
-  const double rate = 1.0 / stand.excess;
-  const double shift = rate * stand.spread * stand.spread;
-  const double below = stand.typical - shown;
+/// Density of a normal deviate of that spread with an exponential one added [1/m].
+double exGaussianDensity(double value, double spread, double mean_added) {
+  const double rate = 1.0 / mean_added;
+  const double shift = rate * spread * spread;
   constexpr double kMostExponent = 50.0;  // far below, where the other factor vanishes
-  return rate * std::exp(std::min(rate * (below + 0.5 * shift), kMostExponent)) *
-         normalShareBelow(-(below + shift) / stand.spread);
+  return rate * std::exp(std::min(rate * (0.5 * shift - value), kMostExponent)) *
+         normalShareBelow((value - shift) / spread);
+}
+
+/// Density of the length shown where the axis runs on [1/m].
+double excessDensity(const StandLength& stand, double shown) {
+  return exGaussianDensity(shown - stand.typical, stand.spread, stand.excess);
+}
+
+/// Density of the length shown where the axis stops short [1/m].
+double deficitDensity(const StandLength& stand, double shown) {
+  constexpr double kDeficit = 0.15;  // of the length, on average
+  return exGaussianDensity(stand.typical - shown, stand.spread, kDeficit * stand.typical);
+}
+
+/// Share of the stems that stop short, by how densely what is as high as their ends is sampled.
+double shortShare(double sampling) {
+  constexpr double kClear = 0.3;  // sampled well enough to see every end
+  constexpr double kMost = 0.5;
+  return kMost * std::max(0.0, 1.0 - sampling / kClear);
 }
 
 }  // namespace
@@ -32,6 +49,10 @@ double StandLength::logPrior(double length) const {
   if (!known()) return 0.0;
   const double z = (length - typical) / spread;
   return -0.5 * (kFreedom + 1.0) * std::log1p(z * z / kFreedom);
+}
+
+double StandLength::logPriorWithin(double length) const {
+  return length < typical ? logPrior(length) : 0.0;
 }
 
 double StandLength::likelyLength(double shown) const {
@@ -46,7 +67,8 @@ StandLength StandLength::scaledBy(double factor) const {
   return {typical * factor, spread * factor, excess * factor, excess_share};
 }
 
-StandFit fitStandLength(const std::vector<double>& shown, double relative_spread) {
+StandFit fitStandLength(const std::vector<double>& shown, double relative_spread,
+                        double short_share) {
   constexpr std::size_t kLeastStems = 5U;
   constexpr double kStrange = 0.03;  // share of stems that are nothing of the kind
   constexpr double kLowest = 0.5;    // of the median shown
@@ -59,16 +81,20 @@ StandFit fitStandLength(const std::vector<double>& shown, double relative_spread
   const auto tryOne = [&](StandLength stand) {
     std::vector<double> ended;
     std::vector<double> ran_on;
+    std::vector<double> other;
     for (const double length : shown) {
       ended.push_back(lengthDensity(stand, length));
       ran_on.push_back(excessDensity(stand, length));
+      const double stopped = short_share > 0.0 ? short_share * deficitDensity(stand, length) : 0.0;
+      other.push_back((1.0 - kStrange) * stopped + kStrange / (2.0 * median));
     }
     for (const double share : {0.0, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9}) {
       stand.excess_share = share;
       double sum = 0.0;
       for (std::size_t i = 0; i < shown.size(); ++i) {
-        sum += std::log((1.0 - kStrange) * ((1.0 - share) * ended[i] + share * ran_on[i]) +
-                        kStrange / (2.0 * median));
+        sum += std::log((1.0 - kStrange) * (1.0 - short_share) *
+                            ((1.0 - share) * ended[i] + share * ran_on[i]) +
+                        other[i]);
       }
       if (sum > best.log_likelihood) best = {stand, sum};
     }
@@ -86,7 +112,8 @@ StandFit fitStandLength(const std::vector<double>& shown, double relative_spread
 }
 
 std::vector<StandLength> standLengths(const std::vector<double>& shown,
-                                      const std::vector<double>& heights) {
+                                      const std::vector<double>& heights,
+                                      const SamplingProfile& sampling) {
   std::vector<double> shares;
   double log_scale = 0.0;
   for (std::size_t i = 0; i < shown.size(); ++i) {
@@ -95,8 +122,9 @@ std::vector<StandLength> standLengths(const std::vector<double>& shown,
   }
   constexpr double kLengthSpread = 0.06;  // of the length, that plants of one stand differ by
   constexpr double kShareSpread = 0.03;   // of the share, where the heights say much
-  const StandFit alike = fitStandLength(shown, kLengthSpread);
-  const StandFit in_proportion = fitStandLength(shares, kShareSpread);
+  const double short_share = shown.empty() ? 0.0 : shortShare(sampling.at(medianOf(shown)));
+  const StandFit alike = fitStandLength(shown, kLengthSpread, short_share);
+  const StandFit in_proportion = fitStandLength(shares, kShareSpread, short_share);
   const bool proportional = in_proportion.log_likelihood - log_scale > alike.log_likelihood;
   std::vector<StandLength> stands;
   for (const double height : heights) {

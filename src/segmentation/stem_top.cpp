@@ -86,10 +86,14 @@ BandCounts countBands(const std::vector<Place>& places, double start, double len
   return counts;
 }
 
-double medianSeen(const std::vector<double>& counts) {
+/// Median of the counts of bands that are not empty, as they would be where sampling is best.
+double medianSeen(const std::vector<double>& counts, double band_height,
+                  const SamplingProfile& sampling) {
   std::vector<double> seen;
-  for (const double count : counts) {
-    if (count > 0.0) seen.push_back(count);
+  for (std::size_t k = 0; k < counts.size(); ++k) {
+    if (counts[k] > 0.0) {
+      seen.push_back(counts[k] / sampling.at((static_cast<double>(k) + 0.5) * band_height));
+    }
   }
   if (seen.empty()) return 0.0;
   return medianOf(std::move(seen));
@@ -107,19 +111,21 @@ double claspBelow(double occupied, const StemAxis& axis) {
 /// @param leaf_density of leaves that may stand in the core, to those beside it
 /// @param log_prior of an axis that stops there
 template <typename LogPrior>
-double occupiedLength(const std::vector<Place>& places, double length, double leaf_density,
+double occupiedLength(const std::vector<Place>& places, double length,
+                      const SamplingProfile& sampling, double leaf_density,
                       const LogPrior& log_prior) {
   // Bands so high that a stem shows some points in each.
   constexpr double kShortest = 0.05;  // [m], or a share of a short axis
   constexpr double kShare = 0.1;
   constexpr double kHighest = 0.20;
   constexpr double kPoints = 5.0;
-  const double seen = medianSeen(countBands(places, 0.0, length, kHighest).core);
+  const double seen =
+      medianSeen(countBands(places, 0.0, length, kHighest).core, kHighest, sampling);
   if (!(seen > 0.0)) return length;
   const double band_height =
       std::clamp(kHighest * kPoints / seen, std::min(kShortest, kShare * length), kHighest);
-  const double stem_mean =
-      std::max(medianSeen(countBands(places, 0.0, length, band_height).core), 1.0);
+  const double stem_mean = std::max(
+      medianSeen(countBands(places, 0.0, length, band_height).core, band_height, sampling), 1.0);
   constexpr double kOtherShare = 0.12;
   const bool is_dense = seen >= kPoints;  // fewer points say nothing of how leaves stand
   constexpr double kStemShape = 0.8;
@@ -136,8 +142,9 @@ double occupiedLength(const std::vector<Place>& places, double length, double le
     double sum = 0.0;
     for (std::size_t k = 0; k < counts.core.size(); ++k) {
       const double leaves = is_dense ? leaf_density * counts.by_leaves[k] : 0.0;
-      sum += log_odds(counts.core[k], stem_mean + leaves, kOtherShare * stem_mean + leaves);
       const double cut = start + static_cast<double>(k + 1U) * band_height;
+      const double stem = stem_mean * sampling.at(cut - 0.5 * band_height);
+      sum += log_odds(counts.core[k], stem + leaves, kOtherShare * stem + leaves);
       const double score = sum + log_prior(cut);
       if (score <= best) continue;
       best = score;
@@ -175,13 +182,17 @@ constexpr double kLeastContrast = 2.5;  // of the points where branches begin to
 /// Points of the ring just outside the skin, step by step along the axis.
 struct Rings {
   std::vector<double> counts;
+  std::vector<double> sampling;   ///< at the lower end of each step
+  std::vector<double> densities;  ///< the counts, as they would be where sampling is best
   std::vector<std::array<double, kSectors>> sectors;  ///< the same, by azimuth
 };
 
-Rings countRings(const std::vector<Place>& places, double length) {
+Rings countRings(const std::vector<Place>& places, double length, const SamplingProfile& sampling) {
   constexpr double kReach = 0.025;  // [m] of side branches beyond the stem's skin
   const auto steps = static_cast<std::size_t>(std::ceil(length / kRingStep)) + 1U;
   Rings rings{std::vector<double>(steps, 0.0),
+              {},
+              {},
               std::vector<std::array<double, kSectors>>(steps, {{0.0}})};
   for (const Place& place : places) {
     if (place.arc_length >= length || place.distance < place.skin ||
@@ -192,6 +203,11 @@ Rings countRings(const std::vector<Place>& places, double length) {
     const double turn = (std::atan2(place.away.y(), place.away.x()) + M_PI) / (2.0 * M_PI);
     rings.counts[step] += 1.0;
     rings.sectors[step][std::min(static_cast<std::size_t>(turn * kSectors), kSectors - 1U)] += 1.0;
+  }
+  for (std::size_t step = 0; step < steps; ++step) {
+    const double at = static_cast<double>(step) * kRingStep;
+    rings.sampling.push_back(sampling.at(at));
+    rings.densities.push_back(rings.counts[step] / sampling.at(at + 0.5 * kRingStep));
   }
   return rings;
 }
@@ -217,6 +233,11 @@ double sumOf(const std::vector<double>& counts, std::size_t from, std::size_t to
                          counts.begin() + static_cast<std::ptrdiff_t>(to), 0.0);
 }
 
+/// Points that the window from a step on would have, were it sampled as densely as step `as`.
+double pointsFrom(const Rings& rings, std::size_t from, std::size_t as) {
+  return rings.sampling[as] * sumOf(rings.densities, from, from + kWindow);
+}
+
 /// Where a tassel's side branches begin, and the logarithm of how many more points there are in
 /// the ring above that place than below.
 struct TasselBase {
@@ -225,8 +246,8 @@ struct TasselBase {
 };
 
 double logContrast(const Rings& rings, std::size_t step) {
-  const double below = sumOf(rings.counts, step - kWindow, step);
-  const double above = sumOf(rings.counts, step, step + kWindow);
+  const double below = pointsFrom(rings, step - kWindow, step);
+  const double above = pointsFrom(rings, step, step);
   return std::log((above + 1.0) / (below + 1.0));
 }
 
@@ -252,7 +273,7 @@ std::optional<TasselBase> clearTasselBase(const Rings& rings, double occupied) {
     // Beyond its branches the tassel is a bare spike; leaves go on.
     double most_beyond = 0.0;
     for (std::size_t j = k + kBranchedSteps; j + kWindow <= steps; ++j) {
-      most_beyond = std::max(most_beyond, sumOf(rings.counts, j, j + kWindow));
+      most_beyond = std::max(most_beyond, pointsFrom(rings, j, k));
     }
     if (most_beyond > kMostBeyond * above) continue;
     const double log_contrast = logContrast(rings, k);
@@ -282,8 +303,9 @@ TasselBase likelyTasselBase(const Rings& rings, double occupied, const StandLeng
 }
 
 /// Where the tassel begins; `occupied` where nothing shows one.
-double tasselBase(const std::vector<Place>& places, double occupied, const StandLength& stand) {
-  const Rings rings = countRings(places, occupied);
+double tasselBase(const std::vector<Place>& places, double occupied,
+                  const SamplingProfile& sampling, const StandLength& stand) {
+  const Rings rings = countRings(places, occupied, sampling);
   const std::optional<TasselBase> clear = clearTasselBase(rings, occupied);
   if (!stand.known()) return clear ? clear->at : occupied;
   const TasselBase likely = likelyTasselBase(rings, occupied, stand);
@@ -298,26 +320,40 @@ double tasselBase(const std::vector<Place>& places, double occupied, const Stand
 }
 
 /// As findStemTop().
-double topAmong(const std::vector<Place>& places, const StemAxis& axis, double leaf_density,
-                const StandLength& stand) {
+double topAmong(const std::vector<Place>& places, const StemAxis& axis,
+                const SamplingProfile& sampling, const StandLength& stand, double leaf_density) {
   const auto length = static_cast<double>(axis.length());
-  const double occupied = occupiedLength(places, length, leaf_density, [](double) { return 0.0; });
+  const double occupied =
+      occupiedLength(places, length, sampling, leaf_density, [](double) { return 0.0; });
   if (opensAsWhorl(places, occupied)) {
-    const double likely = occupiedLength(places, length, leaf_density, [&](double end) {
+    const double likely = occupiedLength(places, length, sampling, leaf_density, [&](double end) {
       return stand.logPrior(end - claspBelow(end, axis));
     });
     return stand.likelyLength(likely - claspBelow(likely, axis));
   }
-  return tasselBase(places, occupied, stand);
+  // Where nothing can be seen of a stem's end, it is as high as others are.
+  const double reaches = stand.known()
+                             ? occupiedLength(places, length, sampling, leaf_density,
+                                              [&](double end) { return stand.logPriorWithin(end); })
+                             : occupied;
+  return tasselBase(places, reaches, sampling, stand);
 }
 
 }  // namespace
 
 float findStemTop(const std::vector<Eigen::Vector3f>& points,
                   const std::vector<std::uint32_t>& members, const Midline& midline,
-                  const StandLength& stand, double leaf_density) {
+                  const SamplingProfile& sampling, const StandLength& stand, double leaf_density) {
   return static_cast<float>(
-      topAmong(placesOf(points, members, midline), midline.axis, leaf_density, stand));
+      topAmong(placesOf(points, members, midline), midline.axis, sampling, stand, leaf_density));
+}
+
+float findOccupiedEnd(const std::vector<Eigen::Vector3f>& points,
+                      const std::vector<std::uint32_t>& members, const Midline& midline,
+                      const SamplingProfile& sampling) {
+  return static_cast<float>(occupiedLength(placesOf(points, members, midline),
+                                           static_cast<double>(midline.axis.length()), sampling,
+                                           1.0, [](double) { return 0.0; }));
 }
 
 }  // namespace field_phenotyping

@@ -1,10 +1,13 @@
-// The length that the stems of a stand have in common.
+// The length that the stems of a stand have in common, and how well they are seen.
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
 #include <random>
 #include <vector>
 
+#include "field_phenotyping/segmentation/sampling_profile.hpp"
 #include "field_phenotyping/segmentation/stand_length.hpp"
 
 namespace field_phenotyping {
@@ -100,6 +103,71 @@ TEST(StandLength, HeightsThatSayNothingAreLeftOut) {
   for (const StandLength& stand : standLengths(shown, heights)) {
     EXPECT_NEAR(stand.typical, 0.7, 0.03);
   }
+}
+
+/// A stand whose surfaces are sampled evenly up to 1.5 m, and from there less and less, up to 3 m.
+SamplingProfile fallingAbove() {
+  std::vector<float> heights;
+  std::vector<LocalShape> shapes;
+  for (int k = 0; k < 3000; ++k) {
+    heights.push_back(0.001F * static_cast<float>(k));
+    LocalShape shape;
+    const float above = std::max(0.0F, heights.back() - 1.5F);
+    shape.neighbors = 1U + static_cast<std::uint32_t>(200.0F * std::exp(-4.0F * above));
+    shapes.push_back(shape);
+  }
+  return {heights, shapes};
+}
+
+TEST(StandLength, IsSeenAmongStemsThatStopShort) {
+  // Two in five lose sight of their upper part.
+  for (const unsigned seed : {15U, 16U, 17U, 18U}) {
+    std::vector<double> shown = shownLengths(2.3, 0.2, 0.2, 60, seed);
+    std::mt19937 random(seed);
+    std::exponential_distribution<double> lost(1.0 / 0.35);
+    std::bernoulli_distribution is_hidden(0.4);
+    for (double& length : shown) {
+      if (is_hidden(random)) length -= std::min(lost(random), 1.5);
+    }
+    const std::vector<double> heights(shown.size(), 2.8);
+    EXPECT_NEAR(standLengths(shown, heights, fallingAbove()).front().typical, 2.3, 0.1)
+        << "seed " << seed;
+  }
+}
+
+TEST(StandLength, OneThatIsAtMostSoLongMayBeShorter) {
+  const StandLength stand = fitStandLength(shownLengths(1.7, 0.3, 0.15, 40, 8U), kSpread).stand;
+  EXPECT_DOUBLE_EQ(stand.logPriorWithin(2.5), 0.0);
+  EXPECT_DOUBLE_EQ(stand.logPriorWithin(1.3), stand.logPrior(1.3));
+}
+
+TEST(SamplingProfile, FallsAboveTheHeightThatIsSampledBest) {
+  const SamplingProfile profile = fallingAbove();
+  EXPECT_DOUBLE_EQ(profile.at(0.3), 1.0);
+  EXPECT_DOUBLE_EQ(profile.at(1.4), 1.0);
+  for (const double above : {0.2, 0.4, 0.6, 0.8}) {
+    EXPECT_NEAR(profile.at(1.5 + above) / std::exp(-4.0 * above), 1.0, 0.1) << above << " m above";
+  }
+  EXPECT_GT(profile.at(20.0), 0.0);
+}
+
+TEST(SamplingProfile, LowPartsInTheShadeOfLeavesCountAsSampledBest) {
+  std::vector<float> heights;
+  std::vector<LocalShape> shapes(2000U);
+  for (std::size_t k = 0; k < shapes.size(); ++k) {
+    heights.push_back(0.001F * static_cast<float>(k));
+    shapes[k].neighbors = k < 1000U ? 3U : 30U;
+  }
+  const SamplingProfile profile(heights, shapes);
+  EXPECT_DOUBLE_EQ(profile.at(0.5), 1.0);
+  EXPECT_DOUBLE_EQ(profile.at(1.5), 1.0);
+}
+
+TEST(SamplingProfile, IsOneWhereNothingTells) {
+  EXPECT_DOUBLE_EQ(SamplingProfile().at(1.0), 1.0);
+  EXPECT_DOUBLE_EQ(SamplingProfile({}, {}).at(1.0), 1.0);
+  EXPECT_DOUBLE_EQ(SamplingProfile({0.01F, 0.02F}, {LocalShape(), LocalShape()}).at(1.0), 1.0)
+      << "soil";
 }
 
 TEST(StandLength, OrderDoesNotMatter) {

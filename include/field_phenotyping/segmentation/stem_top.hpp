@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "field_phenotyping/segmentation/midline.hpp"
+#include "field_phenotyping/segmentation/sampling_profile.hpp"
 #include "field_phenotyping/segmentation/stand_length.hpp"
 
 namespace field_phenotyping {
@@ -20,10 +21,19 @@ namespace field_phenotyping {
 ///
 /// @param points  local frame [m]
 /// @param members indices of the points near the midline, leaf points included
+/// @param sampling how many points are to be expected of a stem, by its height
 /// @param stand   tips the scales where the points leave the end open
 /// @param leaf_density of leaves that may stand in the core, to that of those just beside it
 float findStemTop(const std::vector<Eigen::Vector3f>& points,
                   const std::vector<std::uint32_t>& members, const Midline& midline,
-                  const StandLength& stand = {}, double leaf_density = 1.0);
+                  const SamplingProfile& sampling = {}, const StandLength& stand = {},
+                  double leaf_density = 1.0);
+
+/// How far up the core of an axis holds as many points as a stem shows: the arc length [m], be it
+/// of a stem or of what carries one on.
+/// Parameters as of findStemTop().
+float findOccupiedEnd(const std::vector<Eigen::Vector3f>& points,
+                      const std::vector<std::uint32_t>& members, const Midline& midline,
+                      const SamplingProfile& sampling = {});
 
 }  // namespace field_phenotyping

@@ -1,0 +1,28 @@
+#pragma once
+
+#include <vector>
+
+#include "field_phenotyping/segmentation/local_shape.hpp"
+
+namespace field_phenotyping {
+
+/// How densely a block's surfaces are sampled above the height at which they are sampled best, to
+/// that height: beams meet the tops of plants taller than the sensor from below and through other
+/// leaves, so that few points of a stem there say as much as many farther down.
+/// Immutable; thread-safe.
+class SamplingProfile {
+ public:
+  /// All heights alike.
+  SamplingProfile() = default;
+  /// @param heights of the points above the soil [m]; those of soil are left out
+  /// @param shapes  of the same points, whose neighbours are counted
+  SamplingProfile(const std::vector<float>& heights, const std::vector<LocalShape>& shapes);
+
+  /// Density at a height above the soil [m], in (0, 1]: 1 up to the best one, falling above.
+  double at(double height) const;
+
+ private:
+  std::vector<double> bands_;  // of equal height, upwards from the soil
+};
+
+}  // namespace field_phenotyping
