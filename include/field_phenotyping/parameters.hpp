@@ -160,7 +160,7 @@ struct SegmentationParameters {
       p.seed_max_height, 0.1, 5.0);
     v(ParameterInfo{"seed_slab", "m",
                     "height of the slabs that stem evidence is collected in; widened likewise, and "
-                    "lower in proportion for plants below 0.5 m"},
+                    "lower in proportion for plants below 0.8 m"},
       p.seed_slab, 0.01, 0.5);
     v(
         ParameterInfo{

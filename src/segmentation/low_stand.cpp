@@ -48,7 +48,7 @@ std::vector<GrownStem> onlyInRows(const Block& block, std::vector<GrownStem> ste
 SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters parameters) {
   constexpr double kShare = 0.03;   // of the plants' height
   constexpr double kLowest = 0.01;  // [m] below it soil is left
-  constexpr double kFull = 0.5;     // [m] height of plants from which on pieces are as asked for
+  constexpr double kFull = 0.8;     // [m] height of plants from which on pieces are as asked for
   constexpr double kLeast = 0.15;   // [m] height of the lowest that have a stem
   const auto height = std::max(static_cast<double>(plant_height), kLeast);
   parameters.seed_min_height =
@@ -66,8 +66,11 @@ std::vector<GrownStem> findStandingStems(const GrowthScene& scene, const Block& 
   std::vector<GrownStem> stems =
       findStems(scene, block, selection, plant_height, adaptToHeight(plant_height, parameters));
   if (plant_height >= kWeeds) return stems;
+  constexpr std::size_t kMany = 16U;  // that would show rows if they were plants
+  const bool many = stems.size() >= kMany;
   stems = onlyInRows(block, std::move(stems), parameters);
   if (standUpright(stems)) return stems;
+  if (many) return {};
   return findStems(scene, block, selection, plant_height, parameters);
 }
 
