@@ -27,13 +27,15 @@ bool staysOn(const StemAxis& longer, const StemAxis& axis) {
          });
 }
 
-/// Carries stems on upwards as far as points show them. What is sampled ever more sparsely above
-/// looks empty as long as it is not known how sparsely, so that they end too low.
+/// Carries stems on upwards as far as points show them, where plants are taller than the sensor
+/// sees well: what is sampled ever more sparsely looked empty as long as it was not known how
+/// sparsely.
 void carryOn(const GrowthScene& scene, float max_radius, float plant_height,
              std::vector<GrownStem>& stems) {
   constexpr float kStep = 0.25F;   // [m]
   constexpr float kLeast = 0.05F;  // [m] that counts as going on
   constexpr int kMostSteps = 6;
+  constexpr double kSparse = 0.35;  // of the best sampling: where an end could be overlooked
   parallelFor(stems.size(), [&](std::size_t s) {
     Midline midline = stems[s].midline;
     bool goes_on = false;
@@ -57,7 +59,11 @@ void carryOn(const GrowthScene& scene, float max_radius, float plant_height,
     midline.axis = midline.axis.below(
         findStemTop(scene.points, pointsAround(scene, midline.axis, kStemSurroundings * max_radius),
                     midline, scene.sampling));
-    if (midline.axis.length() > stems[s].midline.axis.length()) stems[s].midline = midline;
+    const float end = midline.axis.length();
+    if (end > stems[s].midline.axis.length() &&
+        scene.sampling.at(static_cast<double>(end)) < kSparse) {
+      stems[s].midline = std::move(midline);
+    }
   });
 }
 
