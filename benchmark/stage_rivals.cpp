@@ -60,7 +60,7 @@ std::vector<PointCloud> withoutOutliers(const Preprocessor& preprocessor) {
   std::vector<PointCloud> blocks;
   const PreprocessingParameters& parameters = preprocessor.parameters();
   for (const BlockIndex& index : preprocessor.dueBlocks(true)) {
-    const PointCloud cloud = preprocessor.collect(index, true).cloud;
+    const PointCloud cloud = preprocessor.collect({index}, true).cloud;
     const auto keep = radiusOutlierFilter(cloud, static_cast<float>(parameters.outlier_radius),
                                           parameters.outlier_min_neighbors);
     PointCloud kept;

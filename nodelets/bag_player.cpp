@@ -10,6 +10,7 @@
 #include <exception>
 #include <future>
 #include <iomanip>
+#include <set>
 #include <sstream>
 #include <stdexcept>
 #include <utility>
@@ -293,23 +294,26 @@ std::size_t BagPlayer::scansInWork() {
 
 std::size_t BagPlayer::blocksInWork() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return blocks_.size();
+  std::set<std::uint64_t> blocks;
+  for (const auto& tile : tiles_) blocks.insert(tile.second.block);
+  return blocks.size();
 }
 
 void BagPlayer::forgetBlocks() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  blocks_.clear();
+  tiles_.clear();
 }
 
 void BagPlayer::noteBlock(const boost::shared_ptr<const Block>& block) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  blocks_[block->header.index] = block->header.revision;
+  ++blocks_;
+  for (const BlockHeader& tile : block->tiles()) tiles_[tile.index] = {blocks_, tile.revision};
 }
 
 void BagPlayer::notePlants(const PlantPhenotypeArrayConstPtr& plants) {
   const std::lock_guard<std::mutex> lock(mutex_);
-  const auto block = blocks_.find({plants->block_x, plants->block_y});
-  if (block != blocks_.end() && block->second <= plants->revision) blocks_.erase(block);
+  const auto tile = tiles_.find({plants->block_x, plants->block_y});
+  if (tile != tiles_.end() && tile->second.revision <= plants->revision) tiles_.erase(tile);
 }
 
 }  // namespace field_phenotyping

@@ -43,6 +43,11 @@ class BagPlayer {
   ~BagPlayer();
 
  private:
+  struct TileInWork {
+    std::uint64_t block = 0U;  // counted, that it came in
+    std::uint32_t revision = 0U;
+  };
+
   void run();
   void waitForStages();
   void open();
@@ -90,7 +95,8 @@ class BagPlayer {
   std::deque<boost::weak_ptr<const sensor_msgs::PointCloud2>> in_work_;
 
   std::mutex mutex_;
-  std::map<BlockIndex, std::uint32_t> blocks_;  // revisions that are not measured yet
+  std::map<BlockIndex, TileInWork> tiles_;  // that are not measured yet
+  std::uint64_t blocks_ = 0U;               // that have come
 
   ros::Publisher clock_;
   ros::Publisher points_;

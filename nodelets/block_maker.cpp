@@ -1,5 +1,6 @@
 #include "block_maker.hpp"
 
+#include <algorithm>
 #include <chrono>
 #include <utility>
 
@@ -26,7 +27,14 @@ void BlockMaker::push(Task task) {
 
 std::size_t BlockMaker::pending() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return waiting_.size() + (busy_ ? 1U : 0U);
+  return waiting_.size() + (at_work_ ? 1U : 0U);
+}
+
+bool BlockMaker::holdsOlderThan(std::uint64_t stamp_ns) const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return (at_work_ && *at_work_ < stamp_ns) ||
+         std::any_of(waiting_.begin(), waiting_.end(),
+                     [&](const Task& task) { return task.points.header.stamp_ns < stamp_ns; });
 }
 
 void BlockMaker::run() {
@@ -37,11 +45,11 @@ void BlockMaker::run() {
     } else {
       Task task = std::move(waiting_.front());
       waiting_.pop_front();
-      busy_ = true;
+      at_work_ = task.points.header.stamp_ns;
       lock.unlock();
       calls_.work(task);
       lock.lock();
-      busy_ = false;
+      at_work_.reset();
     }
     lock.unlock();
     calls_.idle();

@@ -4,10 +4,12 @@
 
 #include <condition_variable>
 #include <cstddef>
+#include <cstdint>
 #include <deque>
 #include <functional>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <thread>
 
 #include "field_phenotyping/parameters.hpp"
@@ -40,6 +42,8 @@ class BlockMaker {
   void push(Task task);
   /// Blocks that wait or are being made.
   std::size_t pending() const;
+  /// Whether any of them was last seen before that time [ns since the epoch].
+  bool holdsOlderThan(std::uint64_t stamp_ns) const;
 
  private:
   void run();
@@ -48,7 +52,7 @@ class BlockMaker {
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::deque<Task> waiting_;
-  bool busy_ = false;
+  std::optional<std::uint64_t> at_work_;  // newest scan of that block [ns]
   bool running_ = true;
   std::thread thread_;  // last: runs on all of the above
 };

@@ -306,6 +306,7 @@ struct Serializer<field_phenotyping::Block>
   template <class Stream, class Block>
   static void fields(Stream& stream, Block& block) {
     stream.next(block.header);
+    stream.next(block.joined);
     stream.next(block.cloud);
     stream.next(block.ground);
     stream.next(block.ground_points);

@@ -11,6 +11,7 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <vector>
 
 #include "block_serialization.hpp"
 #include "block_worker.hpp"
@@ -66,9 +67,9 @@ class BlockStage {
   using InputPtr = boost::shared_ptr<const Input>;
   using OutputPtr = boost::shared_ptr<const Output>;
   using Drafts = typename BlockWorker<Input>::Drafts;
-  /// Makes what is published; nothing where that is not worth it any more. Called on the worker's
-  /// threads; may throw.
-  using Work = std::function<OutputPtr(const InputPtr&, const Section&)>;
+  /// Makes what is published, in that order; nothing where that is not worth it any more. Called on
+  /// the worker's threads; may throw.
+  using Work = std::function<std::vector<OutputPtr>(const InputPtr&, const Section&)>;
 
   BlockStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
       : pnh_(std::move(pnh)),
@@ -137,12 +138,9 @@ class BlockStage {
     if (headerOf(*task.block).draft) urgent.emplace();
     guarded([&] {
       const ros::WallTime begin = ros::WallTime::now();
-      const OutputPtr made = work_(task.block, parameters_.current());
-      if (!made) {
-        health_.count("revisions overtaken by newer ones");
-        return;
-      }
-      output_.publish(made);
+      const std::vector<OutputPtr> made = work_(task.block, parameters_.current());
+      if (made.empty()) return;
+      for (const OutputPtr& output : made) output_.publish(output);
       const ros::WallTime end = ros::WallTime::now();
       health_.count("blocks worked");
       health_.finished((end - task.arrival).toSec());

@@ -11,6 +11,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <iterator>
 #include <limits>
 #include <map>
 #include <mutex>
@@ -35,6 +36,27 @@ inline const BlockHeader& headerOf(const CompletedBlock& block) {
   return block.segmented->header;
 }
 
+/// What the tiles of a block say of themselves.
+inline std::vector<BlockHeader> tilesOf(const Block& block) {
+  return block.tiles();
+}
+template <class T>
+std::vector<BlockHeader> tilesOf(const T& block) {
+  return {headerOf(block)};
+}
+
+/// Whether `newer` is about all tiles of `older`, each being `alike` there and here.
+template <class T, class Alike>
+bool replaces(const T& newer, const T& older, const Alike& alike) {
+  const std::vector<BlockHeader> tiles = tilesOf(newer);
+  const std::vector<BlockHeader> others = tilesOf(older);
+  return std::all_of(others.begin(), others.end(), [&](const BlockHeader& other) {
+    return std::any_of(tiles.begin(), tiles.end(), [&](const BlockHeader& tile) {
+      return tile.index == other.index && alike(tile, other);
+    });
+  });
+}
+
 inline std::size_t pointsOf(const Block& block) {
   return block.cloud.size();
 }
@@ -50,7 +72,7 @@ inline std::size_t historyOf(const ros::NodeHandle& pnh) {
   return static_cast<std::size_t>(std::max(pnh.param("history", 16), 0));
 }
 
-/// The newest revision of each of the last `capacity` blocks. Not thread-safe.
+/// The newest revision of each of the last blocks, of `capacity` tiles in all. Not thread-safe.
 template <class T>
 class BlockHistory {
  public:
@@ -61,13 +83,20 @@ class BlockHistory {
   void add(const Pointer& block) {
     const BlockHeader& header = headerOf(*block);
     // Tiles of another size are of a tiling that is no longer in use.
+    const auto in_any_pass = [](const BlockHeader&, const BlockHeader&) { return true; };
     const auto outdated = [&](const Pointer& known) {
-      return headerOf(*known).index == header.index ||
+      return replaces(*block, *known, in_any_pass) ||
              headerOf(*known).tile_size != header.tile_size;
     };
     blocks_.erase(std::remove_if(blocks_.begin(), blocks_.end(), outdated), blocks_.end());
     blocks_.push_back(block);
-    if (blocks_.size() > capacity_) blocks_.pop_front();
+    std::size_t tiles = 0U;
+    for (const Pointer& known : blocks_) tiles += tilesOf(*known).size();
+    // The last one stays, however many tiles were joined in it.
+    const std::size_t fewest = std::min<std::size_t>(capacity_, 1U);
+    for (; tiles > capacity_ && blocks_.size() > fewest; blocks_.pop_front()) {
+      tiles -= tilesOf(*blocks_.front()).size();
+    }
   }
 
   /// Oldest first.
@@ -206,17 +235,21 @@ class BlockWorker {
  private:
   enum class Takes { kAll, kDrafts };
 
+  /// @return whether it takes the place of others
   bool enqueue(const Pointer& block) {
-    const BlockHeader& header = headerOf(*block);
-    for (Task& task : waiting_) {
-      const BlockHeader& other = headerOf(*task.block);
-      if (!(other.index == header.index) || other.began_ns != header.began_ns) continue;
-      if (other.draft && !header.draft && !header.final) continue;  // it gives first values sooner
-      task.block = block;
-      return true;
+    const auto is_newer = [](const BlockHeader& tile, const BlockHeader& other) {
+      const bool sooner = other.draft && !tile.draft && !tile.final;  // gives first values
+      return other.began_ns == tile.began_ns && !sooner;
+    };
+    const auto outdated = [&](const Task& task) { return replaces(*block, *task.block, is_newer); };
+    const auto first = std::find_if(waiting_.begin(), waiting_.end(), outdated);
+    if (first == waiting_.end()) {
+      waiting_.push_back({block, ros::WallTime::now()});
+      return false;
     }
-    waiting_.push_back({block, ros::WallTime::now()});
-    return false;
+    waiting_.erase(std::remove_if(std::next(first), waiting_.end(), outdated), waiting_.end());
+    first->block = block;
+    return true;
   }
 
   bool isOverloaded() const {
@@ -228,8 +261,11 @@ class BlockWorker {
   /// The lowest go first.
   int rankOf(const Task& task) const {
     const BlockHeader& header = headerOf(*task.block);
-    const auto worked = worked_.find(header.index);
-    const bool unknown = worked == worked_.end() || worked->second != header.began_ns;
+    const std::vector<BlockHeader> tiles = tilesOf(*task.block);
+    const bool unknown = std::any_of(tiles.begin(), tiles.end(), [this](const BlockHeader& tile) {
+      const auto worked = worked_.find(tile.index);
+      return worked == worked_.end() || worked->second != tile.began_ns;
+    });
     if (header.draft || unknown) return 0;
     return header.final ? 1 : 2;
   }
@@ -252,10 +288,14 @@ class BlockWorker {
     for (; points > limits_.most_points && waiting_.size() > 1U; ++dropped) {
       const auto least = std::max_element(waiting_.begin(), waiting_.end(), worth_more);
       points -= pointsOf(*least->block);
-      if (headerOf(*least->block).final) worked_.erase(headerOf(*least->block).index);
+      if (headerOf(*least->block).final) forgetWorked(*least->block);
       waiting_.erase(least);
     }
     return dropped;
+  }
+
+  void forgetWorked(const T& block) {
+    for (const BlockHeader& tile : tilesOf(block)) worked_.erase(tile.index);
   }
 
   /// Nothing where none may be worked yet.
@@ -278,7 +318,7 @@ class BlockWorker {
     waiting_.erase(next);
     const BlockHeader& header = headerOf(*task.block);
     if (header.final) {
-      worked_.erase(header.index);
+      forgetWorked(*task.block);
     } else {
       worked_[header.index] = header.began_ns;
     }

@@ -18,7 +18,8 @@ CompletionStage::CompletionStage(ros::NodeHandle nh, ros::NodeHandle pnh, const 
     : stage_(nh, pnh, name),
       done_(historyOf(pnh)),
       completed_(stage_.privateHandle(), "completed", addSynthetic) {
-  stage_.start([this](const auto& block, const auto& p) { return work(block, p); },
+  using Outputs = std::vector<Stage::OutputPtr>;
+  stage_.start([this](const auto& block, const auto& p) { return Outputs{work(block, p)}; },
                [this] { completed_.update(done_); }, Stage::Drafts::kBeside);
 }
 

@@ -280,14 +280,14 @@ void addGround(const Block& block, DisplayCloud& cloud) {
         Eigen::Vector3d(ground.corner().x() + ground.spacing() * static_cast<float>(i % columns),
                         ground.corner().y() + ground.spacing() * static_cast<float>(i / columns),
                         node.height);
-    if (block.header.holds(p.x(), p.y())) cloud.add(p, node.seen != 0U ? kGrey : kDarkGrey, -1);
+    if (block.holds(p.x(), p.y())) cloud.add(p, node.seen != 0U ? kGrey : kDarkGrey, -1);
   }
 }
 
 void addAboveGround(const Block& block, DisplayCloud& cloud) {
   for (std::size_t i = 0; i < block.cloud.size(); ++i) {
     const Eigen::Vector3d p = block.cloud.mapPoint(i);
-    if (!block.header.holds(p.x(), p.y())) continue;
+    if (!block.holds(p.x(), p.y())) continue;
     cloud.add(p, block.cloud.hasColors() ? block.cloud.colors[i] : kGreen, -1);
   }
 }
@@ -395,29 +395,31 @@ visualization_msgs::MarkerArray rowMarkers(const std::vector<Phenotype>& plants,
 
 visualization_msgs::MarkerArray blockMarker(const Block& block) {
   visualization_msgs::MarkerArray array;
-  const BlockHeader& header = block.header;
-  std_msgs::Header frame;
-  frame.frame_id = header.frame_id;
-  // One number a tile, for any field that is less than 65536 tiles wide.
-  const auto id = static_cast<std::int32_t>((static_cast<std::uint32_t>(header.index.x) << 16U) ^
-                                            (static_cast<std::uint32_t>(header.index.y) & 0xffffU));
-  visualization_msgs::Marker border = marker(frame, "block", id, visualization_msgs::Marker::ADD);
-  border.type = visualization_msgs::Marker::LINE_STRIP;
-  border.scale.x = 0.02;
-  border.color.r = header.final ? 0.2F : 1.0F;
-  border.color.g = header.final ? 0.8F : 0.7F;
-  border.color.b = header.final ? 0.3F : 0.1F;
-  const Eigen::Vector2d low = header.lowCorner();
-  using Corner = Eigen::Vector2d;
-  for (const Corner& step :
-       {Corner(0, 0), Corner(1, 0), Corner(1, 1), Corner(0, 1), Corner(0, 0)}) {
-    const Eigen::Vector2d corner = low + header.tile_size * step;
-    const Eigen::Vector3d& origin = block.cloud.origin;
-    const Eigen::Vector2f local = (corner - origin.head<2>()).cast<float>();
-    const float soil = block.ground.heightAt(local.x(), local.y());
-    border.points.push_back(toPoint({corner.x(), corner.y(), origin.z() + soil}));
+  for (const BlockHeader& header : block.tiles()) {
+    std_msgs::Header frame;
+    frame.frame_id = header.frame_id;
+    // One number a tile, for any field that is less than 65536 tiles wide.
+    const auto id =
+        static_cast<std::int32_t>((static_cast<std::uint32_t>(header.index.x) << 16U) ^
+                                  (static_cast<std::uint32_t>(header.index.y) & 0xffffU));
+    visualization_msgs::Marker border = marker(frame, "block", id, visualization_msgs::Marker::ADD);
+    border.type = visualization_msgs::Marker::LINE_STRIP;
+    border.scale.x = 0.02;
+    border.color.r = header.final ? 0.2F : 1.0F;
+    border.color.g = header.final ? 0.8F : 0.7F;
+    border.color.b = header.final ? 0.3F : 0.1F;
+    const Eigen::Vector2d low = header.lowCorner();
+    using Corner = Eigen::Vector2d;
+    for (const Corner& step :
+         {Corner(0, 0), Corner(1, 0), Corner(1, 1), Corner(0, 1), Corner(0, 0)}) {
+      const Eigen::Vector2d corner = low + header.tile_size * step;
+      const Eigen::Vector3d& origin = block.cloud.origin;
+      const Eigen::Vector2f local = (corner - origin.head<2>()).cast<float>();
+      const float soil = block.ground.heightAt(local.x(), local.y());
+      border.points.push_back(toPoint({corner.x(), corner.y(), origin.z() + soil}));
+    }
+    array.markers.push_back(border);
   }
-  array.markers.push_back(border);
   return array;
 }
 

@@ -67,7 +67,7 @@ void addPlants(const SegmentedBlock& block, DisplayCloud& cloud);
 /// Filled-in stem points of the block's own plants, red.
 void addSynthetic(const CompletedBlock& block, DisplayCloud& cloud);
 
-/// Border of the block's tile on the soil: orange while scans may reach it, green once it is final.
+/// Borders of the block's tiles on the soil: orange while scans may reach them, green once final.
 visualization_msgs::MarkerArray blockMarker(const Block& block);
 
 /// Axis (namespace "axis"; red to green by its score), height as a bar beside it ("height";

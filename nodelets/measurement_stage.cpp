@@ -18,7 +18,8 @@ MeasurementStage::MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, cons
     : stage_(nh, pnh, name), plants_(stage_.privateHandle(), stage_.health()) {
   markers_ = stage_.privateHandle().advertise<visualization_msgs::MarkerArray>(
       "markers", 10, [this](const ros::SingleSubscriberPublisher&) { new_listener_ = true; });
-  stage_.start([this](const auto& block, const auto& p) { return work(*block, p); },
+  using Outputs = std::vector<Stage::OutputPtr>;
+  stage_.start([this](const auto& block, const auto& p) { return Outputs{work(*block, p)}; },
                [this] {
                  const std::lock_guard<std::mutex> lock(mutex_);
                  plants_.retry();

@@ -44,7 +44,7 @@ std::string withoutSlash(const std::string& frame) {
 
 std::set<std::string> ownParameterNames() {
   std::set<std::string> names = commonParameterNames();
-  names.insert({"target_frame", "tf_timeout", "idle_timeout", "queue_size"});
+  names.insert({"target_frame", "tf_timeout", "idle_timeout", "queue_size", "preliminary"});
   return names;
 }
 
@@ -57,6 +57,7 @@ PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
       target_frame_(withoutSlash(pnh_.param<std::string>("target_frame", "map"))),
       tf_timeout_(pnh_.param("tf_timeout", 1.0)),
       idle_timeout_(pnh_.param("idle_timeout", 1.5)),
+      preliminary_(pnh_.param("preliminary", true)),
       queue_size_(static_cast<std::size_t>(std::max(pnh_.param("queue_size", 50), 1))),
       parameters_(pnh_, health_, ownParameterNames(), [this] { parameters_changed_ = true; }),
       tf_buffer_(kTfMemory),
@@ -401,39 +402,52 @@ bool PreprocessingStage::handOnBlocks(bool flush, WhenFull when_full) {
   // One whole cloud needs no preliminary blocks: they are made once, when nothing follows it.
   const bool may_be_whole = scans_added_ < 2U;
   if (!gate_.open() || (may_be_whole && !flush)) return false;
-  const std::vector<BlockIndex> due = preprocessor_.dueBlocks(flush);
+  std::vector<BlockIndex> due = preprocessor_.dueBlocks(flush);
+  if (!preliminary_ && !flush) {
+    const auto open = [this](const BlockIndex& index) { return !preprocessor_.isFinished(index); };
+    due.erase(std::remove_if(due.begin(), due.end(), open), due.end());
+  }
   const ros::WallTime now = ros::WallTime::now();
   for (const BlockIndex& index : due) due_since_.try_emplace(index, now);
   health_.show("blocks due", static_cast<double>(due.size()));
   bool more = false;
-  for (const BlockIndex& index : due) {
-    // No draft waits for other blocks; those wait for drafts, which may be of the same tiles.
+  while (!due.empty()) {
+    const BlockIndex index = due.front();
+    // No draft waits for other blocks, but those of an earlier pass, which must be known by then;
+    // those wait for drafts, which may be of the same tiles.
     const bool draft = preprocessor_.isDraft(index, flush);
     const std::size_t drafts = drafts_->pending();
     const bool full =
-        draft ? drafts >= kMostPending : drafts > 0U || maker_->pending() >= kMostPending;
+        draft ? drafts >= kMostPending || maker_->holdsOlderThan(preprocessor_.beganAt(index))
+              : drafts > 0U || maker_->pending() >= kMostPending;
     if (full && when_full == WhenFull::kLater) {
       more = true;
-    } else {
-      handOn(index, flush);
+      due.erase(due.begin());
+      continue;
     }
+    const std::vector<BlockIndex> joined = preprocessor_.joinedWith(index, due, flush);
+    handOn(joined, flush);
+    due.erase(std::remove_if(due.begin(), due.end(),
+                             [&](const BlockIndex& other) {
+                               return std::find(joined.begin(), joined.end(), other) !=
+                                      joined.end();
+                             }),
+              due.end());
   }
   return more;
 }
 
-void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
-  BlockMaker::Task task{preprocessor_.collect(index, flush), preprocessor_.parameters()};
+/// The blocks are due; more than one: to be worked as one.
+void PreprocessingStage::handOn(const std::vector<BlockIndex>& indices, bool flush) {
+  BlockMaker::Task task{preprocessor_.collect(indices, flush), preprocessor_.parameters()};
   BlockHeader& header = task.points.header;
-  const bool has_settled = !header.draft && !header.final;
-  if (has_settled) ++header.revision;  // a draft comes before it
-  preprocessor_.markHandedOn(header);
-  const auto due = due_since_.find(index);
-  if (due != due_since_.end()) {
-    header.due_ns = due->second.toNSec();
-    due_since_.erase(due);
+  for (BlockHeader& tile : task.points.joined) noteHandedOn(tile);
+  if (task.points.joined.empty()) {
+    noteHandedOn(header);
+  } else {
+    header.revision = task.points.joined.front().revision;
   }
-  header.revision += revision_base_;
-  newest_revision_ = std::max(newest_revision_, header.revision);
+  const bool has_settled = !header.draft && !header.final;
   if (has_settled) {
     // What little has come since the last draft may show further plants, whose first values should
     // not wait for the whole block.
@@ -447,6 +461,18 @@ void PreprocessingStage::handOn(const BlockIndex& index, bool flush) {
   } else {
     maker_->push(std::move(task));
   }
+}
+
+/// It says as which revision, and since when it was due.
+void PreprocessingStage::noteHandedOn(BlockHeader& tile) {
+  const bool has_settled = !tile.draft && !tile.final;
+  if (has_settled) ++tile.revision;  // a draft comes before it
+  preprocessor_.markHandedOn(tile);
+  const auto due = due_since_.find(tile.index);
+  tile.due_ns = due->second.toNSec();
+  due_since_.erase(due);
+  tile.revision += revision_base_;
+  newest_revision_ = std::max(newest_revision_, tile.revision);
 }
 
 /// Blocks that wait or are being made.

@@ -73,7 +73,8 @@ class PreprocessingStage {
   void applyParameters();
   PreprocessingParameters effectiveParameters() const;
   bool handOnBlocks(bool flush, WhenFull when_full);
-  void handOn(const BlockIndex& index, bool flush);
+  void handOn(const std::vector<BlockIndex>& indices, bool flush);
+  void noteHandedOn(BlockHeader& tile);
   void emptyMap();
 
   // The threads that make blocks.
@@ -90,6 +91,7 @@ class PreprocessingStage {
   const std::string target_frame_;
   const ros::WallDuration tf_timeout_;
   const ros::WallDuration idle_timeout_;
+  const bool preliminary_;  // blocks are handed on before they are final, too
   const std::size_t queue_size_;
   std::atomic<bool> parameters_changed_{false};
   ParameterServer<PreprocessingConfig, PreprocessingParameters> parameters_;

@@ -1,10 +1,13 @@
 #include "segmentation_stage.hpp"
 
+#include <algorithm>
 #include <boost/make_shared.hpp>
 #include <cmath>
 #include <sstream>
+#include <utility>
 
 #include "durable_table.hpp"
+#include "field_phenotyping/segmentation/joined_tiles.hpp"
 #include "field_phenotyping/segmentation/segmentation.hpp"
 
 namespace field_phenotyping {
@@ -14,6 +17,8 @@ namespace {
 constexpr std::size_t kFruitlessBlocks = 3U;
 // A stem needs about so many points per square metre of field to be told from noise.
 constexpr double kSparse = 200.0;
+// Last reports that are kept to be put right: a rover that has left them by more is elsewhere.
+constexpr std::size_t kMostProvisional = 8U;
 
 }  // namespace
 
@@ -37,20 +42,69 @@ SegmentationStage::~SegmentationStage() {
   stage_.stop();
 }
 
-boost::shared_ptr<const SegmentedBlock> SegmentationStage::work(
+std::vector<SegmentationStage::Stage::OutputPtr> SegmentationStage::work(
     const Block& block, const SegmentationParameters& parameters) {
-  const auto segmented =
-      boost::make_shared<SegmentedBlock>(segmentBlock(block, parameters, stage_.device()));
+  std::vector<SegmentedBlock> tiles =
+      splitIntoTiles(segmentBlock(block, parameters, stage_.device()), block.joined);
   const std::lock_guard<std::mutex> lock(mutex_);
   showDeviceUse(stage_.device(), stage_.health());
-  if (isOvertaken(block.header)) return nullptr;
-  const PlantRegistry::Outcome outcome = registry_.identify(*segmented);
-  stage_.health().show("map shift since the last pass [m]", outcome.shift.norm());
-  noteOutcome(block, *segmented, parameters);
-  done_.add(segmented);
+  std::vector<Stage::OutputPtr> outputs;
+  std::size_t plants = 0U;
+  for (SegmentedBlock& tile : tiles) {
+    if (isOvertaken(tile.header)) {
+      stage_.health().count("revisions overtaken by newer ones");
+      continue;
+    }
+    const auto segmented = boost::make_shared<SegmentedBlock>(std::move(tile));
+    const PlantRegistry::Outcome outcome = registry_.identify(*segmented);
+    stage_.health().show("map shift since the last pass [m]", outcome.shift.norm());
+    plants += segmented->plants.size();
+    outputs.push_back(segmented);
+    // First, for what the block itself has said before in this pass is replaced anyway.
+    keepProvisional(segmented, outcome.provisional);
+    for (const PlantRegistry::TakenBack& wrong : outcome.taken_back) {
+      if (auto revised = takeBack(wrong)) outputs.push_back(std::move(revised));
+    }
+  }
+  if (outputs.empty()) return outputs;
+  noteOutcome(block, plants, parameters);
+  for (const Stage::OutputPtr& output : outputs) done_.add(output);
   stems_.changed();
   plants_.changed();
-  return segmented;
+  return outputs;
+}
+
+/// @param ids how many of the block's may be taken back
+void SegmentationStage::keepProvisional(const boost::shared_ptr<const SegmentedBlock>& block,
+                                        std::size_t ids) {
+  const BlockHeader& header = block->header;
+  const auto replaced = [&](const auto& other) {
+    return other->header.index == header.index && other->header.began_ns == header.began_ns;
+  };
+  provisional_.erase(std::remove_if(provisional_.begin(), provisional_.end(), replaced),
+                     provisional_.end());
+  if (ids == 0U || !header.final) return;
+  provisional_.push_back(block);
+  if (provisional_.size() > kMostProvisional) provisional_.pop_front();
+}
+
+/// One more revision of what a block has said for the last time, without an id that turned out to
+/// be wrong; nothing where none has said it, or that is not kept any more.
+boost::shared_ptr<const SegmentedBlock> SegmentationStage::takeBack(
+    const PlantRegistry::TakenBack& wrong) {
+  const auto is_wrong = [&](const Plant& plant) { return plant.owned && plant.id == wrong.id; };
+  for (auto& kept : provisional_) {
+    if (std::none_of(kept->plants.begin(), kept->plants.end(), is_wrong)) continue;
+    const auto revised = boost::make_shared<SegmentedBlock>(*kept);
+    ++revised->header.revision;
+    Plant& plant = *std::find_if(revised->plants.begin(), revised->plants.end(), is_wrong);
+    plant.id = wrong.older;
+    plant.owned = wrong.older >= 0;
+    kept = revised;
+    stage_.health().count("ids taken back");
+    return revised;
+  }
+  return nullptr;
 }
 
 /// Whether a newer revision, a draft beside this one, has been named meanwhile.
@@ -62,16 +116,18 @@ bool SegmentationStage::isOvertaken(const BlockHeader& header) {
   return false;
 }
 
-void SegmentationStage::noteOutcome(const Block& block, const SegmentedBlock& segmented,
+/// @param plants of all its tiles
+void SegmentationStage::noteOutcome(const Block& block, std::size_t plants,
                                     const SegmentationParameters& parameters) {
   StageHealth& health = stage_.health();
   health.show("plants known", static_cast<double>(registry_.size()));
-  health.show("plants in the last block", static_cast<double>(segmented.plants.size()));
+  health.show("plants in the last block", static_cast<double>(plants));
   health.show("points in the last block", static_cast<double>(block.cloud.size()));
   // Soil between and beside the plants is no trouble, nor are blocks that are still being filled.
   if (registry_.size() > 0U || !block.header.final) return;
-  ++fruitless_.blocks;
-  if (block.ground.observed()) ++fruitless_.with_soil;
+  const std::size_t tiles = block.tiles().size();
+  fruitless_.blocks += tiles;
+  if (block.ground.observed()) fruitless_.with_soil += tiles;
   fruitless_.points += block.cloud.size();
   for (const Eigen::Vector3f& point : block.cloud.points) {
     const float height = block.ground.heightAbove(point);
@@ -79,7 +135,8 @@ void SegmentationStage::noteOutcome(const Block& block, const SegmentedBlock& se
         height >= parameters.seed_min_height && height <= parameters.seed_max_height;
     if (in_band) ++fruitless_.points_in_band;
   }
-  fruitless_.area += std::pow(block.header.tile_size + 2.0 * block.header.margin, 2);
+  fruitless_.area +=
+      static_cast<double>(tiles) * std::pow(block.header.tile_size + 2.0 * block.header.margin, 2);
   if (fruitless_.blocks >= kFruitlessBlocks) health.trouble("no plant", whyNoPlant(parameters));
 }
 

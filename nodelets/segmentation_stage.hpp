@@ -3,10 +3,14 @@
 #include <field_phenotyping/SegmentationConfig.h>
 #include <ros/ros.h>
 
+#include <boost/shared_ptr.hpp>
+#include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <map>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include "block_stage.hpp"
 #include "display_topic.hpp"
@@ -40,10 +44,11 @@ class SegmentationStage {
     std::uint32_t revision = 0U;
   };
 
-  boost::shared_ptr<const SegmentedBlock> work(const Block& block,
-                                               const SegmentationParameters& parameters);
+  std::vector<Stage::OutputPtr> work(const Block& block, const SegmentationParameters& parameters);
   bool isOvertaken(const BlockHeader& header);
-  void noteOutcome(const Block& block, const SegmentedBlock& segmented,
+  void keepProvisional(const boost::shared_ptr<const SegmentedBlock>& block, std::size_t ids);
+  boost::shared_ptr<const SegmentedBlock> takeBack(const PlantRegistry::TakenBack& wrong);
+  void noteOutcome(const Block& block, std::size_t plants,
                    const SegmentationParameters& parameters);
   std::string whyNoPlant(const SegmentationParameters& parameters) const;
 
@@ -51,6 +56,8 @@ class SegmentationStage {
   std::mutex mutex_;  // of all below
   std::map<BlockIndex, NewestNamed> newest_;
   PlantRegistry registry_;
+  /// Last reports with ids that may be taken back, the oldest first.
+  std::deque<boost::shared_ptr<const SegmentedBlock>> provisional_;
   Fruitless fruitless_;
   BlockHistory<SegmentedBlock> done_;
   DisplayTopic<SegmentedBlock> stems_;

@@ -77,6 +77,7 @@ Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
                   const ComputeDevice& device, DensePoints* before_thinning) {
   Block block;
   block.header = std::move(points.header);
+  block.joined = std::move(points.joined);
   // 1. Without outliers; 2. the soil; 3. taken out; 4. thinned.
   const auto keep = radiusOutlierFilter(points.cloud, static_cast<float>(parameters.outlier_radius),
                                         parameters.outlier_min_neighbors, device);
@@ -140,6 +141,7 @@ struct Preprocessor::Impl {
                           Visit&& visit) const;
   void chooseEvictions();
   bool isFinal(const TileState& state) const;
+  BlockHeader headerOf(const BlockIndex& index, bool flush, bool draft) const;
   bool hasChanged(const TileState& state) const;
   bool mayForget(const BlockIndex& index, const TileState& state) const;
 
@@ -451,7 +453,17 @@ std::size_t Preprocessor::finishedBlocks() const {
 
 Block Preprocessor::makeBlock(const BlockIndex& index, bool flush, const ComputeDevice& device,
                               DensePoints* before_thinning) const {
-  return finishBlock(collect(index, flush), impl_->parameters, device, before_thinning);
+  return finishBlock(collect({index}, flush), impl_->parameters, device, before_thinning);
+}
+
+std::uint64_t Preprocessor::beganAt(const BlockIndex& index) const {
+  const auto state = impl_->states.find(index);
+  return state == impl_->states.end() ? 0U : state->second.began_ns;
+}
+
+bool Preprocessor::isFinished(const BlockIndex& index) const {
+  const auto state = impl_->states.find(index);
+  return state != impl_->states.end() && impl_->isFinal(state->second);
 }
 
 bool Preprocessor::isDraft(const BlockIndex& index, bool flush) const {
@@ -460,25 +472,65 @@ bool Preprocessor::isDraft(const BlockIndex& index, bool flush) const {
          impl_->hasChanged(state->second);
 }
 
-BlockPoints Preprocessor::collect(const BlockIndex& index, bool flush) const {
-  const PreprocessingParameters& p = impl_->parameters;
-  BlockPoints block;
-  block.header.stamp_ns = impl_->newest_ns;
-  block.header.frame_id = impl_->frame_id;
-  block.header.index = index;
-  block.header.tile_size = p.block_size;
-  block.header.tile_corner = impl_->tile_corner;
-  const auto state = impl_->states.find(index);
-  if (state != impl_->states.end()) {
-    block.header.began_ns = state->second.began_ns;
-    block.header.revision = state->second.revision + 1U;
-    block.header.final = flush || impl_->isFinal(state->second);
-    block.header.draft = isDraft(index, flush);
+std::vector<BlockIndex> Preprocessor::joinedWith(const BlockIndex& first,
+                                                 const std::vector<BlockIndex>& due,
+                                                 bool flush) const {
+  const auto isFinal = [&](const BlockIndex& index) { return flush || isFinished(index); };
+  std::vector<BlockIndex> joined{first};
+  if (!isFinal(first)) return joined;
+  std::vector<BlockIndex> others;
+  std::copy_if(due.begin(), due.end(), std::back_inserter(others),
+               [&](const BlockIndex& index) { return !(index == first) && isFinal(index); });
+  const auto sharedEdges = [&](const BlockIndex& index) {
+    return std::count_if(joined.begin(), joined.end(), [&](const BlockIndex& other) {
+      return std::abs(index.x - other.x) + std::abs(index.y - other.y) == 1;
+    });
+  };
+  // Margins are shorter the more edges a tile shares with the others.
+  while (joined.size() < kMostJoined && !others.empty()) {
+    const auto best = std::max_element(
+        others.begin(), others.end(),
+        [&](const auto& a, const auto& b) { return sharedEdges(a) < sharedEdges(b); });
+    if (sharedEdges(*best) == 0) break;
+    joined.push_back(*best);
+    others.erase(best);
   }
+  return joined;
+}
 
+BlockHeader Preprocessor::Impl::headerOf(const BlockIndex& index, bool flush, bool draft) const {
+  BlockHeader header;
+  header.stamp_ns = newest_ns;
+  header.frame_id = frame_id;
+  header.index = index;
+  header.tile_size = parameters.block_size;
+  header.tile_corner = tile_corner;
+  const auto state = states.find(index);
+  if (state != states.end()) {
+    header.began_ns = state->second.began_ns;
+    header.revision = state->second.revision + 1U;
+    header.final = flush || isFinal(state->second);
+    header.draft = draft;
+  }
   constexpr double kDraftMargin = 0.5;  // of the margin: a stem and what stands above it
-  block.header.margin = (block.header.draft ? kDraftMargin : 1.0) * p.block_margin;
-  block.cloud = impl_->map.extract(index, block.header.margin);
+  header.margin = (header.draft ? kDraftMargin : 1.0) * parameters.block_margin;
+  return header;
+}
+
+BlockPoints Preprocessor::collect(const std::vector<BlockIndex>& indices, bool flush) const {
+  BlockPoints block;
+  for (const BlockIndex& index : indices) {
+    block.joined.push_back(impl_->headerOf(index, flush, isDraft(index, flush)));
+  }
+  block.header = block.joined.front();
+  block.cloud = impl_->map.extract(indices, block.header.margin);
+  if (block.joined.size() == 1U) {
+    block.joined.clear();
+    return block;
+  }
+  for (const BlockHeader& tile : block.joined) {
+    block.header.began_ns = std::max(block.header.began_ns, tile.began_ns);
+  }
   return block;
 }
 

@@ -3,7 +3,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdlib>
+#include <set>
 #include <stdexcept>
+#include <utility>
 
 #include "common/gpu_streams.hpp"
 #include "common/xyz.hpp"
@@ -188,37 +191,53 @@ void VoxelMap::erase(const BlockIndex& index) {
   tiles_.erase(index);
 }
 
-PointCloud VoxelMap::extract(const BlockIndex& index, double margin) const {
+PointCloud VoxelMap::extract(const std::vector<BlockIndex>& wanted, double margin) const {
   PointCloud cloud;
-  cloud.origin = originOf(index);
-  const auto reach = static_cast<float>(0.5 * tile_size_ + margin);
+  if (wanted.empty()) return cloud;
   const int rings = static_cast<int>(std::ceil(margin / tile_size_));
+  std::set<std::pair<std::int32_t, std::int32_t>> near;  // y, x: row by row
+  BlockIndex low = wanted.front();
+  BlockIndex high = wanted.front();
+  for (const BlockIndex& index : wanted) {
+    low = {std::min(low.x, index.x), std::min(low.y, index.y)};
+    high = {std::max(high.x, index.x), std::max(high.y, index.y)};
+    for (int dy = -rings; dy <= rings; ++dy) {
+      for (int dx = -rings; dx <= rings; ++dx) near.emplace(index.y + dy, index.x + dx);
+    }
+  }
+  cloud.origin = 0.5 * (originOf(low) + originOf(high));
+  const auto reach = static_cast<float>(0.5 * tile_size_ + margin);
   bool any_color = false;
   bool any_origin = false;
-  for (int dy = -rings; dy <= rings; ++dy) {
-    for (int dx = -rings; dx <= rings; ++dx) {
-      const BlockIndex neighbor{index.x + dx, index.y + dy};
-      const VoxelTile* tile = find(neighbor);
-      if (tile == nullptr) continue;
-      any_color = any_color || tile->hasColors();
-      any_origin = any_origin || !tile->origins().empty();
-      std::vector<std::uint16_t> place_of(tile->origins().size(), kNoScanOrigin);
-      const Eigen::Vector3f shift = (originOf(neighbor) - cloud.origin).cast<float>();
-      for (std::size_t i = 0; i < tile->size(); ++i) {
-        const Eigen::Vector3f p = tile->centroid(i) + shift;
-        if (std::abs(p.x()) > reach || std::abs(p.y()) > reach) continue;
-        cloud.points.push_back(p);
-        cloud.colors.push_back(tile->color(i));
-        cloud.scan_origin.push_back(kNoScanOrigin);
-        const std::uint16_t origin = tile->origin(i);
-        if (origin == kNoScanOrigin) continue;
-        std::uint16_t& place = place_of[origin];
-        if (place == kNoScanOrigin && cloud.scan_origins.size() < kNoScanOrigin) {
-          place = static_cast<std::uint16_t>(cloud.scan_origins.size());
-          cloud.scan_origins.push_back(tile->origins()[origin] + shift);
-        }
-        cloud.scan_origin.back() = place;
+  for (const auto& [y, x] : near) {
+    const VoxelTile* tile = find({x, y});
+    if (tile == nullptr) continue;
+    any_color = any_color || tile->hasColors();
+    any_origin = any_origin || !tile->origins().empty();
+    std::vector<Eigen::Vector2f> centers;  // of the wanted tiles that may reach its points
+    for (const BlockIndex& index : wanted) {
+      if (std::max(std::abs(index.x - x), std::abs(index.y - y)) > rings) continue;
+      centers.push_back((originOf(index) - cloud.origin).head<2>().cast<float>());
+    }
+    std::vector<std::uint16_t> place_of(tile->origins().size(), kNoScanOrigin);
+    const Eigen::Vector3f shift = (originOf({x, y}) - cloud.origin).cast<float>();
+    for (std::size_t i = 0; i < tile->size(); ++i) {
+      const Eigen::Vector3f p = tile->centroid(i) + shift;
+      const bool reached = std::any_of(centers.begin(), centers.end(), [&](const auto& center) {
+        return (p.head<2>() - center).cwiseAbs().maxCoeff() <= reach;
+      });
+      if (!reached) continue;
+      cloud.points.push_back(p);
+      cloud.colors.push_back(tile->color(i));
+      cloud.scan_origin.push_back(kNoScanOrigin);
+      const std::uint16_t origin = tile->origin(i);
+      if (origin == kNoScanOrigin) continue;
+      std::uint16_t& place = place_of[origin];
+      if (place == kNoScanOrigin && cloud.scan_origins.size() < kNoScanOrigin) {
+        place = static_cast<std::uint16_t>(cloud.scan_origins.size());
+        cloud.scan_origins.push_back(tile->origins()[origin] + shift);
       }
+      cloud.scan_origin.back() = place;
     }
   }
   if (!any_color) cloud.colors.clear();

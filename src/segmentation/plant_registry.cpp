@@ -75,6 +75,32 @@ void PlantRegistry::restore(const std::vector<KnownPlant>& plants) {
   }
 }
 
+/// What the block has reported in this pass stays its own where the base has wandered out of its
+/// reach since: the neighbour, which left it to the block, may have spoken for the last time.
+void PlantRegistry::keepOwnPlants(SegmentedBlock& block) const {
+  const BlockHeader& header = block.header;
+  const auto before = claims_.find(header.index);
+  if (before == claims_.end() || before->second.stamp_ns < header.began_ns) return;
+  const std::vector<std::int32_t>& ids = before->second.ids;
+  const auto baseOf = [&](const Plant& plant) -> Eigen::Vector2d {
+    return block.cloud.origin.head<2>() + plant.base.head<2>().cast<double>();
+  };
+  for (Plant& plant : block.plants) {
+    const Eigen::Vector2d base = baseOf(plant);
+    const bool is_near = header.holds(base.x(), base.y(), kBorderTolerance + match_radius_);
+    if (plant.owned || !is_near) continue;
+    for (const Known& known : findNear({base}, match_radius_)) {
+      const double distance = (known.base - base).norm();
+      const bool is_own = std::find(ids.begin(), ids.end(), known.id) != ids.end();
+      const bool is_anothers =
+          std::any_of(block.plants.begin(), block.plants.end(), [&](const Plant& other) {
+            return &other != &plant && (known.base - baseOf(other)).norm() <= distance;
+          });
+      if (distance < match_radius_ && is_own && !is_anothers) plant.owned = true;
+    }
+  }
+}
+
 /// Those of the block, and those that hold no longer.
 void PlantRegistry::releaseClaims(const BlockHeader& header) {
   for (auto claims = claims_.begin(); claims != claims_.end();) {
@@ -108,27 +134,30 @@ void PlantRegistry::releaseClaim(std::int32_t id) {
   claimed_.erase(owner);
 }
 
-/// Takes a plant that the map has carried over the border from the block that claimed it before
-/// this one's pass began: the other block may see it no more.
-void PlantRegistry::takeOver(const Known& known, const Eigen::Vector2d& base,
+/// Takes a plant that stands in the block's tile from another block that might not report it again:
+/// one that claimed it before this pass began, out of whose reach the map may have carried it, or
+/// one that is not final when this one is, for this tile's points may soon be forgotten.
+void PlantRegistry::takeOver(std::int32_t id, const Eigen::Vector2d& base,
                              const BlockHeader& header) {
-  const bool carried =
-      !header.holds(known.base.x(), known.base.y()) && header.holds(base.x(), base.y());
-  const Claims* claims = claimsOn(known.id);
-  if (carried && claims != nullptr && claims->stamp_ns < header.began_ns) releaseClaim(known.id);
+  const Claims* claims = claimsOn(id);
+  if (claims == nullptr || !header.holds(base.x(), base.y())) return;
+  const bool of_earlier_pass = claims->stamp_ns < header.began_ns;
+  if (of_earlier_pass || (header.final && !claims->final)) releaseClaim(id);
 }
 
 /// Whether another block reports the plant under another id: where it is one that this block does
 /// not see beside it, nor the other block this one. Else of such ids none is left but this one.
 bool PlantRegistry::isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
-                                     const std::vector<Known>& near, std::vector<bool>& given) {
+                                     const std::vector<Known>& near, std::vector<bool>& given,
+                                     std::vector<TakenBack>& taken_back) {
   for (std::size_t e = 0; e < near.size(); ++e) {
     const Known& other = near[e];
     if (given[e] || !((base - other.now).norm() < match_radius_)) continue;
     const Claims* claims = claimsOn(other.id);
     if (claims == nullptr || claims->seen.count(id) > 0U) continue;
-    // The older id stays, unless the other block has spoken for the last time.
-    if (other.id < id || claims->final) return true;
+    // The older id stays, unless the other block has spoken for the last time and was sure.
+    if (other.id < id || (claims->final && in_doubt_.count(other.id) == 0U)) return true;
+    if (in_doubt_.erase(other.id) > 0U) taken_back.push_back({other.id, -1});
     releaseClaim(other.id);
     takeOut(other);
     given[e] = true;
@@ -259,7 +288,7 @@ std::size_t PlantRegistry::oneAt(const Eigen::Vector2d& place, const std::vector
 /// Plants that were named anew before it was known how the map has moved have their older ids back.
 void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
                                      const std::vector<Known>& near, std::uint64_t began_ns,
-                                     Matches& matches) {
+                                     Matches& matches, std::vector<TakenBack>& taken_back) {
   for (std::size_t p = 0; p < bases.size(); ++p) {
     std::size_t& match = matches.of_plant[p];
     if (match == kNone || !isInDoubt(near[match].id)) continue;
@@ -267,6 +296,7 @@ void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
       return !matches.given[e] && near[e].stamp_ns < began_ns;
     });
     if (older == kNone) continue;
+    taken_back.push_back({near[match].id, near[older].id});
     matches.given[match] = false;  // and goes, below
     matches.given[older] = true;
     match = older;
@@ -279,28 +309,35 @@ void PlantRegistry::giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases,
     if (!of_another) continue;
     takeOut(near[e]);
     in_doubt_.erase(near[e].id);
+    taken_back.push_back({near[e].id, -1});
     matches.given[e] = true;
   }
 }
 
 /// The same for plants of another block, that saw too little: it hears of them when it reports
-/// next.
+/// next, if ever.
 void PlantRegistry::giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64_t began_ns,
-                                           Matches& matches) {
-  for (Known& doubted : near) {
+                                           Matches& matches, std::vector<TakenBack>& taken_back) {
+  for (std::size_t d = 0; d < near.size(); ++d) {
+    Known& doubted = near[d];
     const auto claimed = claimed_.find(doubted.id);
-    if (in_doubt_.count(doubted.id) == 0U || claimed == claimed_.end()) continue;
+    const bool is_own = claimed == claimed_.end() && matches.given[d];
+    if (in_doubt_.count(doubted.id) == 0U || is_own) continue;
     const std::size_t o = oneAt(doubted.now, near, [&](std::size_t e) {
-      return !matches.given[e] && near[e].stamp_ns < began_ns && claimed_.count(near[e].id) == 0U;
+      return !matches.given[e] && near[e].stamp_ns < began_ns && claimed_.count(near[e].id) == 0U &&
+             in_doubt_.count(near[e].id) == 0U;
     });
     if (o == kNone) continue;
     const std::int32_t older = near[o].id;
-    const BlockIndex block = claimed->second;
-    Claims& claims = claims_.at(block);
-    std::replace(claims.ids.begin(), claims.ids.end(), doubted.id, older);
-    claims.seen.insert(older);
-    claimed_.erase(claimed);
-    claimed_.emplace(older, block);
+    taken_back.push_back({doubted.id, older});
+    if (claimed != claimed_.end()) {
+      const BlockIndex block = claimed->second;
+      Claims& claims = claims_.at(block);
+      std::replace(claims.ids.begin(), claims.ids.end(), doubted.id, older);
+      claims.seen.insert(older);
+      claimed_.erase(claimed);
+      claimed_.emplace(older, block);
+    }
     in_doubt_.erase(doubted.id);
     takeOut(doubted);
     takeOut(near[o]);
@@ -316,6 +353,7 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   std::vector<Plant*> plants;
   std::vector<Eigen::Vector2d> bases;      // of those
   std::vector<Eigen::Vector2d> all_bases;  // and of its neighbours' plants in the margin
+  keepOwnPlants(block);
   for (Plant& plant : block.plants) {
     all_bases.emplace_back(block.cloud.origin.head<2>() + plant.base.head<2>().cast<double>());
     if (!plant.owned) continue;
@@ -367,8 +405,8 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   }
 
   if (sure) {
-    giveOlderIdsBack(bases, near, header.began_ns, matches);
-    giveOthersOlderIdsBack(near, header.began_ns, matches);
+    giveOlderIdsBack(bases, near, header.began_ns, matches, outcome.taken_back);
+    giveOthersOlderIdsBack(near, header.began_ns, matches, outcome.taken_back);
   }
   const auto mayBeAnEarlierOne = [&](const Eigen::Vector2d& base) {
     return std::any_of(near.begin(), near.end(), [&](const Known& known) {
@@ -391,13 +429,13 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
       id = known.id;
       ++outcome.known;
       claims.seen.insert(id);
-      if (sure) takeOver(known, bases[p], header);
+      takeOver(id, bases[p], header);
       if (claimed_.count(id) > 0U) {
         plants[p]->owned = false;
         continue;
       }
       takeOut(known);
-      if (isSameAsAnothers(id, bases[p], near, given)) {
+      if (isSameAsAnothers(id, bases[p], near, given, outcome.taken_back)) {
         plants[p]->owned = false;
         continue;
       }
@@ -407,6 +445,7 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     claims.ids.push_back(id);
     claims.seen.insert(id);
     claimed_.emplace(id, header.index);
+    if (in_doubt_.count(id) > 0U) ++outcome.provisional;
   }
   claims_[header.index] = std::move(claims);
 

@@ -157,7 +157,7 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
     plant.axis = stems[s].midline.axis;
     plant.base = baseOf(block, plant.axis);
     const Eigen::Vector3d base = block.cloud.origin + plant.base.cast<double>();
-    plant.owned = block.header.holds(base.x(), base.y(), PlantRegistry::kBorderTolerance);
+    plant.owned = block.holds(base.x(), base.y(), PlantRegistry::kBorderTolerance);
     plant.growth = stems[s].growth;
     out.plants.push_back(std::move(plant));
   }

@@ -320,7 +320,7 @@ TEST(Preprocessor, WhatHasChangedIsADraftAndABetterBlockFollowsOnceItHasSettled)
   Preprocessor preprocessor(parameters, "map");
   const BlockIndex index{0, 0};
   preprocessor.addScan(patch(0.2, 1.2, kStart), kIdentity);
-  const BlockPoints first = preprocessor.collect(index, false);
+  const BlockPoints first = preprocessor.collect({index}, false);
   EXPECT_TRUE(first.header.draft);
   EXPECT_DOUBLE_EQ(first.header.margin, 0.3) << "narrow: it is to be quick";
   preprocessor.markHandedOn(first.header);
@@ -329,7 +329,7 @@ TEST(Preprocessor, WhatHasChangedIsADraftAndABetterBlockFollowsOnceItHasSettled)
   EXPECT_FALSE(isDue(preprocessor, index)) << "little is new";
   preprocessor.addScan(patch(1.2, 1.3, kStart + 5U * kSecond), kIdentity);
   ASSERT_TRUE(isDue(preprocessor, index)) << "nor does more come";
-  const BlockPoints settled = preprocessor.collect(index, false);
+  const BlockPoints settled = preprocessor.collect({index}, false);
   EXPECT_FALSE(settled.header.draft);
   EXPECT_FALSE(settled.header.final);
   EXPECT_DOUBLE_EQ(settled.header.margin, 0.6);
@@ -339,10 +339,62 @@ TEST(Preprocessor, WhatHasChangedIsADraftAndABetterBlockFollowsOnceItHasSettled)
   EXPECT_FALSE(isDue(preprocessor, index)) << "once is enough";
   preprocessor.addScan(patch(1.4, 1.9, kStart + 21U * kSecond), kIdentity);
   ASSERT_TRUE(isDue(preprocessor, index));
-  EXPECT_TRUE(preprocessor.collect(index, false).header.draft) << "much is new";
-  EXPECT_FALSE(preprocessor.collect(index, true).header.draft) << "the last is no draft";
+  EXPECT_TRUE(preprocessor.collect({index}, false).header.draft) << "much is new";
+  EXPECT_FALSE(preprocessor.collect({index}, true).header.draft) << "the last is no draft";
   EXPECT_TRUE(preprocessor.isDraft(index, false));
   EXPECT_FALSE(preprocessor.isDraft(index, true));
+}
+
+TEST(Preprocessor, JoinsFinalBlocksThatAdjoin) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.final_after = 5.0;
+  parameters.block_margin = 0.0;
+  Preprocessor preprocessor(parameters, "map");
+  preprocessor.addScan(patch(0.0, 6.0, kStart), kIdentity);                   // tiles 0 to 2
+  preprocessor.addScan(patch(8.0, 10.0, kStart + kSecond), kIdentity);        // tile 4
+  preprocessor.addScan(patch(6.0, 8.0, kStart + 4U * kSecond), kIdentity);    // between them
+  preprocessor.addScan(patch(99.0, 99.9, kStart + 7U * kSecond), kIdentity);  // as time goes on
+  const std::vector<BlockIndex> due = preprocessor.dueBlocks(false);
+  const std::vector<BlockIndex> three = preprocessor.joinedWith({1, 0}, due, false);
+  EXPECT_EQ(three.front(), (BlockIndex{1, 0}));
+  EXPECT_EQ(std::set<BlockIndex>(three.begin(), three.end()),
+            (std::set<BlockIndex>{{0, 0}, {1, 0}, {2, 0}}));
+  EXPECT_EQ(preprocessor.joinedWith({4, 0}, due, false), (std::vector<BlockIndex>{{4, 0}}));
+  EXPECT_EQ(preprocessor.joinedWith({3, 0}, due, false), (std::vector<BlockIndex>{{3, 0}}))
+      << "scans may reach it yet";
+  EXPECT_EQ(preprocessor.joinedWith({3, 0}, preprocessor.dueBlocks(true), true).size(), 5U)
+      << "but for the one far away";
+
+  // Each says of itself what it is.
+  const BlockPoints points = preprocessor.collect(three, false);
+  ASSERT_EQ(points.joined.size(), 3U);
+  EXPECT_EQ(points.header.index, three.front());
+  EXPECT_TRUE(points.header.final);
+  for (std::size_t k = 0; k < three.size(); ++k) {
+    const BlockHeader alone = preprocessor.collect({three[k]}, false).header;
+    EXPECT_EQ(points.joined[k].index, three[k]);
+    EXPECT_EQ(points.joined[k].began_ns, alone.began_ns);
+    EXPECT_EQ(points.joined[k].revision, alone.revision);
+    preprocessor.markHandedOn(points.joined[k]);
+    EXPECT_FALSE(isDue(preprocessor, three[k]));
+  }
+}
+
+TEST(Preprocessor, JoinsNoMoreThanCanBeWorkedAtOnceAndThoseOfTheShortestMargin) {
+  PreprocessingParameters parameters = unlimitedRange();
+  Preprocessor preprocessor(parameters, "map");
+  for (int row = 0; row < 3; ++row) {
+    Eigen::Isometry3d sensor = kIdentity;
+    sensor.translation().y() = 2.0 * row;
+    preprocessor.addScan(patch(0.0, 12.0, kStart), sensor);
+  }
+  const auto joined = preprocessor.joinedWith({2, 1}, preprocessor.dueBlocks(true), true);
+  ASSERT_EQ(joined.size(), Preprocessor::kMostJoined);
+  const auto [left, right] = std::minmax_element(
+      joined.begin(), joined.end(), [](const auto& a, const auto& b) { return a.x < b.x; });
+  const auto [low, high] = std::minmax_element(
+      joined.begin(), joined.end(), [](const auto& a, const auto& b) { return a.y < b.y; });
+  EXPECT_EQ((right->x - left->x + 1) * (high->y - low->y + 1), 6) << "a rectangle";
 }
 
 TEST(Preprocessor, DraftsAreThinnerThanWhatFollows) {

@@ -142,8 +142,8 @@ TEST(VoxelMap, FarFromTheOriginAsAtIt) {
 
   const VoxelMap near_map = mapOf(points);
   const VoxelMap far_map = mapOf(shifted, far.z());
-  const PointCloud near_cloud = near_map.extract(near_map.tileAt(1.0, 1.0), 0.0);
-  const PointCloud far_cloud = far_map.extract(far_map.tileAt(far.x() + 1.0, far.y() + 1.0), 0.0);
+  const PointCloud near_cloud = near_map.extract({near_map.tileAt(1.0, 1.0)}, 0.0);
+  const PointCloud far_cloud = far_map.extract({far_map.tileAt(far.x() + 1.0, far.y() + 1.0)}, 0.0);
   EXPECT_LT((far_cloud.origin - far - near_cloud.origin).norm(), 1e-9);
   ASSERT_EQ(near_cloud.size(), far_cloud.size());
   for (std::size_t i = 0; i < near_cloud.size(); ++i) {
@@ -213,7 +213,7 @@ TEST(VoxelMap, ExtractTakesTheMarginOfNeighbours) {
     const auto points = randomPoints(4000U, {-6.0, -6.0, 0.0}, {6.0, 6.0, 0.2}, 4U);
     const VoxelMap map = mapOf(points);
     const BlockIndex index{0, -1};
-    const PointCloud cloud = map.extract(index, margin);
+    const PointCloud cloud = map.extract({index}, margin);
     ASSERT_EQ(cloud.colors.size(), cloud.size());
     std::size_t expected = 0U;
     for (const auto& [tile_index, tile] : map.tiles()) {
@@ -233,9 +233,31 @@ TEST(VoxelMap, ExtractTakesTheMarginOfNeighbours) {
   }
 }
 
+TEST(VoxelMap, ExtractTakesEachPointOfJoinedTilesOnce) {
+  for (const double margin : {0.0, 0.6, 2.5}) {
+    const auto points = randomPoints(4000U, {-6.0, -6.0, 0.0}, {6.0, 6.0, 0.2}, 5U);
+    const VoxelMap map = mapOf(points);
+    const std::vector<BlockIndex> wanted{{0, -1}, {1, -1}, {1, 0}};
+    const PointCloud cloud = map.extract(wanted, margin);
+    std::size_t expected = 0U;
+    for (const auto& [tile_index, tile] : map.tiles()) {
+      for (std::size_t i = 0; i < tile.size(); ++i) {
+        const Eigen::Vector3d p = map.originOf(tile_index) + tile.centroid(i).cast<double>();
+        const bool inside = std::any_of(wanted.begin(), wanted.end(), [&](const BlockIndex& w) {
+          const Eigen::Vector2d away = p.head<2>() - map.originOf(w).head<2>();
+          return away.cwiseAbs().maxCoeff() <= 0.5 * kTile + margin;
+        });
+        expected += inside ? 1U : 0U;
+      }
+    }
+    EXPECT_EQ(cloud.size(), expected) << "margin " << margin;
+    EXPECT_EQ(cloud.origin.head<2>(), Eigen::Vector2d(kTile, 0.0)) << "the middle";
+  }
+}
+
 TEST(VoxelMap, ExtractOfNothing) {
   const VoxelMap map(kTile, kVoxel);
-  EXPECT_TRUE(map.extract({3, 4}, 0.6).empty());
+  EXPECT_TRUE(map.extract({BlockIndex{3, 4}}, 0.6).empty());
   EXPECT_EQ(map.find({3, 4}), nullptr);
 }
 
@@ -244,7 +266,7 @@ TEST(VoxelMap, EraseForgetsATile) {
   ASSERT_NE(map.find({0, 0}), nullptr);
   map.erase({0, 0});
   EXPECT_EQ(map.find({0, 0}), nullptr);
-  EXPECT_TRUE(map.extract({0, 0}, 0.6).empty());
+  EXPECT_TRUE(map.extract({BlockIndex{0, 0}}, 0.6).empty());
 }
 
 TEST(VoxelKey, DistinctPerVoxelAndChecked) {

@@ -235,13 +235,136 @@ void passTheEndOfARow(double from) {
   const auto others = pass({0, 0}, moved, 101U, 110U);
   EXPECT_EQ(together(others, pass({-1, 0}, ends(moved), 100U, 115U)), all);
   // That block is left and seen again: the map has not moved since.
-  const auto again = pass({-1, 0}, ends(moved), 130U, 131U);
+  const auto again = pass({-1, 0}, ends(moved), 130U, 133U);
   EXPECT_EQ(together(again, pass({0, 0}, moved, 132U, 140U)), all);
   EXPECT_EQ(registry.size(), bases.size());
 }
 
 TEST(PlantRegistry, PlantsThatAnotherBlockNamedInDoubtGetTheirOlderIdsToo) {
   for (const double from : {-0.20, -0.10, -0.04, 0.0}) passTheEndOfARow(from);
+}
+
+/// The same, but the block at the end speaks for the last time before its neighbour is seen.
+/// @param off between where the two blocks see the plant, along the row [m]
+/// @param left_again whether it is seen once more in between, in a pass of its own
+void passTheEndOfARowForTheLastTime(double from, double off, bool left_again) {
+  SCOPED_TRACE(::testing::Message() << from << ", " << off << " m off");
+  constexpr std::uint64_t kSecond = 1'000'000'000U;
+  std::mt19937 random(4U);
+  std::normal_distribution<double> sown(0.0, 0.015);
+  std::vector<Eigen::Vector2d> bases, moved;
+  for (int k = 0; k < 9; ++k) {
+    bases.emplace_back((k == 0 ? from : 0.2 * k) + sown(random), 1.0 + sown(random));
+    moved.emplace_back(bases.back() + Eigen::Vector2d(0.04, 0.09));
+  }
+  PlantRegistry registry;
+  std::map<BlockIndex, std::vector<std::int32_t>> said;  // what counts of each block
+  const auto pass = [&](const BlockIndex& index, const std::vector<Eigen::Vector2d>& seen,
+                        std::uint64_t began, std::uint64_t stamp) {
+    SegmentedBlock block = blockWith(index, seen);
+    block.header.began_ns = began * kSecond;
+    block.header.stamp_ns = stamp * kSecond;
+    block.header.final = true;
+    const PlantRegistry::Outcome outcome = registry.identify(block);
+    said[index].clear();
+    for (const Plant& plant : block.plants) {
+      if (plant.owned) said[index].push_back(plant.id);
+    }
+    for (const PlantRegistry::TakenBack& back : outcome.taken_back) {
+      for (auto& [block_index, ids] : said) {
+        const auto wrong = std::find(ids.begin(), ids.end(), back.id);
+        if (wrong == ids.end()) continue;
+        if (back.older >= 0) {
+          *wrong = back.older;
+        } else {
+          ids.erase(wrong);
+        }
+      }
+    }
+  };
+  const auto all = [&] {
+    std::vector<std::int32_t> ids;
+    for (const auto& block : said) ids.insert(ids.end(), block.second.begin(), block.second.end());
+    std::sort(ids.begin(), ids.end());
+    return ids;
+  };
+  const auto last = [](const std::vector<Eigen::Vector2d>& row) {
+    return std::vector<Eigen::Vector2d>{row.front()};
+  };
+  pass({-1, 0}, last(bases), 1U, 20U);
+  pass({0, 0}, bases, 2U, 21U);
+  const std::vector<std::int32_t> first = all();
+  ASSERT_EQ(first.size(), bases.size());
+  pass({-1, 0}, last(moved), 100U, 105U);
+  const std::vector<std::int32_t> in_doubt = said.at({-1, 0});
+  if (left_again) {
+    pass({-1, 0}, {}, 107U, 108U);  // hardly: it has been forgotten meanwhile
+    said.at({-1, 0}) = in_doubt;
+  }
+  moved.front().x() += off;
+  pass({0, 0}, moved, 101U, 110U);
+  std::vector<std::int32_t> now = all();
+  // What it said in the pass before stays, of the plant itself.
+  if (left_again) now.erase(std::unique(now.begin(), now.end()), now.end());
+  EXPECT_EQ(now, first);
+  EXPECT_EQ(registry.size(), bases.size());
+}
+
+TEST(PlantRegistry, AnIdGivenInDoubtIsTakenBackAfterTheLastReportToo) {
+  for (const double from : {-0.20, -0.10, -0.04}) {
+    for (const double off : {-0.03, 0.0, 0.03}) {
+      for (const bool left_again : {false, true}) {
+        passTheEndOfARowForTheLastTime(from, off, left_again);
+      }
+    }
+  }
+}
+
+TEST(PlantRegistry, SaysHowManyIdsMayBeTakenBack) {
+  PlantRegistry registry;
+  SegmentedBlock first = blockWith({0, 0}, {{0.5, 0.5}, {1.5, 0.5}});
+  first.header.stamp_ns = 5U;
+  EXPECT_EQ(registry.identify(first).provisional, 0U);
+  SegmentedBlock second = blockWith({0, 0}, {{0.6, 0.5}, {1.0, 0.5}});
+  second.header.began_ns = 6U;
+  second.header.stamp_ns = 7U;
+  EXPECT_EQ(registry.identify(second).provisional, 1U) << "there is an older one 10 cm from it";
+}
+
+TEST(PlantRegistry, TheLastReportOfTheTileItselfTakesAPlantFromABlockThatIsStillOpen) {
+  PlantRegistry registry;
+  SegmentedBlock open = blockWith({0, 0}, {{2.03, 1.0}});
+  registry.identify(open);
+  ASSERT_TRUE(open.plants[0].owned);
+  SegmentedBlock tile = blockWith({1, 0}, {{2.03, 1.0}});
+  registry.identify(tile);
+  EXPECT_FALSE(tile.plants[0].owned) << "there is time";
+  tile = blockWith({1, 0}, {{2.03, 1.0}});
+  tile.header.final = true;
+  registry.identify(tile);
+  EXPECT_TRUE(tile.plants[0].owned) << "the other might not see it at last";
+  EXPECT_EQ(tile.plants[0].id, open.plants[0].id);
+  const std::int32_t id = open.plants[0].id;
+  open = blockWith({0, 0}, {{2.03, 1.0}});
+  open.header.final = true;
+  registry.identify(open);
+  EXPECT_FALSE(open.plants[0].owned);
+  EXPECT_EQ(registry.size(), 1U);
+  EXPECT_GE(id, 0);
+}
+
+TEST(PlantRegistry, AReportedPlantThatWandersOutOfReachStaysTheBlocks) {
+  PlantRegistry registry;
+  const auto report = [&](int x, double at, bool final) {
+    SegmentedBlock block = blockWith({x, 0}, {{at, 1.0}, {2.3, 1.0}});
+    block.header.final = final;
+    return identify(registry, block)[0];
+  };
+  const std::int32_t id = report(0, 2.095, true);
+  ASSERT_GE(id, 0);
+  EXPECT_EQ(report(1, 2.10, true), -1);
+  EXPECT_EQ(report(0, 2.105, true), id) << "nobody else will report it";
+  EXPECT_EQ(report(0, 2.18, true), -1) << "this is another one's";
 }
 
 TEST(PlantRegistry, HiddenPlantsMoveOnceThoughManyBlocksSeeThemIn) {
@@ -301,31 +424,38 @@ TEST(PlantRegistry, AClaimLapsesLongAfterItsBlockWasSeen) {
   EXPECT_EQ(late.plants[0].id, left.plants[0].id);
 }
 
-TEST(PlantRegistry, APlantThatTheMapCarriesOverTheBorderIsTheOtherBlocks) {
-  // Whichever of the two blocks reports first in the second pass.
-  for (const bool right_first : {true, false}) {
-    PlantRegistry registry;
-    const auto report = [&](int x, double moved, std::uint64_t began, std::uint64_t end) {
-      std::vector<Eigen::Vector2d> bases;
-      for (const double at : {1.0, 1.23, 1.37, 1.62, 1.79, 1.98, 2.21, 2.36, 2.63, 2.81}) {
-        bases.emplace_back(at + moved, 1.0);
-      }
-      SegmentedBlock block = blockWith({x, 0}, bases);
-      block.header.began_ns = began;
-      block.header.stamp_ns = end;
-      block.header.final = true;
-      return identify(registry, block);
-    };
-    const auto first = report(0, 0.0, 1U, 10U);
-    report(1, 0.0, 1U, 10U);
-    ASSERT_GE(first[5], 0);
-    std::map<int, std::vector<std::int32_t>> second;
-    for (const int x : right_first ? std::vector<int>{1, 0} : std::vector<int>{0, 1}) {
-      second[x] = report(x, 0.13, 100U, 110U);
+/// @param border where a plant stands at first that the left block has claimed [m]
+void carryOverTheBorder(bool right_first, double border) {
+  SCOPED_TRACE(::testing::Message() << border << (right_first ? ", right" : ", left") << " first");
+  PlantRegistry registry;
+  const auto report = [&](int x, double moved, std::uint64_t began, std::uint64_t end) {
+    std::vector<Eigen::Vector2d> bases;
+    for (const double at : {1.0, 1.23, 1.37, 1.62, 1.79, border, 2.21, 2.36, 2.63, 2.81}) {
+      bases.emplace_back(at + moved, 1.0);
     }
-    EXPECT_EQ(second[1][5], first[5]);
-    EXPECT_EQ(second[0][5], -1);
-    EXPECT_EQ(registry.size(), 10U);
+    SegmentedBlock block = blockWith({x, 0}, bases);
+    block.header.began_ns = began;
+    block.header.stamp_ns = end;
+    block.header.final = true;
+    return identify(registry, block);
+  };
+  const auto first = report(0, 0.0, 1U, 10U);
+  report(1, 0.0, 1U, 10U);
+  ASSERT_GE(first[5], 0);
+  std::map<int, std::vector<std::int32_t>> second;
+  for (const int x : right_first ? std::vector<int>{1, 0} : std::vector<int>{0, 1}) {
+    second[x] = report(x, 0.13, 100U, 110U);
+  }
+  EXPECT_EQ(second[1][5], first[5]);
+  EXPECT_EQ(second[0][5], -1);
+  EXPECT_EQ(registry.size(), 10U);
+}
+
+TEST(PlantRegistry, APlantThatTheMapCarriesOverTheBorderIsTheOtherBlocks) {
+  // Whichever of the two blocks reports first in the second pass, and on whichever side of the
+  // border the plant stood that the left one has claimed.
+  for (const bool right_first : {true, false}) {
+    for (const double border : {1.98, 2.03}) carryOverTheBorder(right_first, border);
   }
 }
 

@@ -54,6 +54,20 @@ class SlowWorker {
     return worker_->push(block);
   }
 
+  BlockWorker<Block>::Arrival pushJoined(const std::vector<int>& tiles, std::uint64_t second) {
+    const auto block = boost::make_shared<Block>();
+    for (const int x : tiles) {
+      BlockHeader tile;
+      tile.index = {x, 0};
+      tile.began_ns = kBegan;
+      tile.stamp_ns = kBegan + second * kSecond;
+      tile.final = true;
+      block->joined.push_back(tile);
+    }
+    block->header = block->joined.front();
+    return worker_->push(block);
+  }
+
   BlockWorker<Block>::Arrival pushDraft(int x, std::uint64_t second, std::uint64_t began = 0U) {
     return push(x, second, false, 10U, began, true);
   }
@@ -153,6 +167,30 @@ TEST(BlockWorker, ADraftIsReplacedByNewerDraftsAndFinalBlocksOnly) {
   other.pushDraft(100, 1U);
   EXPECT_TRUE(other.push(100, 2U, true).replaced);
   EXPECT_EQ(other.finishAll(), (std::vector<int>{100}));
+}
+
+TEST(BlockWorker, JoinedTilesReplaceWhatWaitsOfEachOfThem) {
+  SlowWorker worker(kNever);
+  worker.pushDraft(1, 1U);
+  worker.push(2, 2U, false);
+  worker.push(3, 3U, false);
+  worker.push(2, 4U, false, 10U, 3U);  // of another pass
+  EXPECT_TRUE(worker.pushJoined({1, 2}, 5U).replaced);
+  EXPECT_EQ(worker.waiting(), 3U);
+  EXPECT_TRUE(worker.pushJoined({1, 2, 4}, 6U).replaced);
+  EXPECT_EQ(worker.waiting(), 3U);
+  EXPECT_FALSE(worker.pushDraft(2, 7U).replaced) << "the others of them are still to be worked";
+  EXPECT_TRUE(worker.push(2, 8U, true).replaced) << "the draft";
+  EXPECT_EQ(worker.waiting(), 4U);
+}
+
+TEST(BlockWorker, JoinedTilesGiveFirstValuesIfOneOfThemDoes) {
+  SlowWorker worker(kNever);
+  worker.push(1, 1U, false);
+  worker.finishOne();  // now 1 is at work, and known
+  worker.push(100, 2U, true);
+  worker.pushJoined({1, 2}, 3U);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{1, 1, 100}));
 }
 
 TEST(BlockWorker, ADraftNeedNotWaitForTheBlockAtWork) {

@@ -124,10 +124,15 @@ TEST_F(Chain, HandsOnAddressesNotCopiesAndDraftsAsTheyAre) {
 
   // Preprocessing -> Segmentation and Completion -> Measurement: the receiver holds the newest
   // revision of each block, the sender nothing. Somebody besides this test holds the object.
-  std::map<BlockIndex, boost::shared_ptr<const Block>> newest_sent;
-  for (const auto& block : blocks.messages) newest_sent[block->header.index] = block;
+  std::map<BlockIndex, boost::shared_ptr<const Block>> newest_of_tile;
+  for (const auto& block : blocks.messages) {
+    for (const BlockHeader& tile : block->tiles()) newest_of_tile[tile.index] = block;
+  }
+  std::set<boost::shared_ptr<const Block>> newest_sent;
+  for (const auto& entry : newest_of_tile) newest_sent.insert(entry.second);
   blocks.messages.clear();
-  for (const auto& entry : newest_sent) EXPECT_EQ(entry.second.use_count(), 2);
+  newest_of_tile.clear();
+  for (const auto& block : newest_sent) EXPECT_EQ(block.use_count(), 2);
   std::map<BlockIndex, boost::shared_ptr<const CompletedBlock>> newest_completed;
   for (const auto& block : completed.messages) newest_completed[headerOf(*block).index] = block;
   completed.messages.clear();

@@ -206,6 +206,11 @@ TEST(Markers, ShowTheBordersOfABlockOnItsSoil) {
   EXPECT_NE(blockMarker(block).markers[0].color.r, border.color.r);
   block.header.index = {3, -2};
   EXPECT_NE(blockMarker(block).markers[0].id, border.id);
+  block.joined = {block.header, block.header};
+  block.joined[1].index = {4, -2};
+  const auto both = blockMarker(block).markers;
+  ASSERT_EQ(both.size(), 2U) << "of each tile";
+  EXPECT_NEAR(both[1].points[0].x - both[0].points[0].x, 4.0, 1e-6);
 }
 
 TEST(Markers, AreTakenAwayWithTheirPlants) {

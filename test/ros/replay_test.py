@@ -6,6 +6,7 @@ import math
 import os
 import re
 import socket
+import sqlite3
 import subprocess
 import sys
 import tempfile
@@ -52,7 +53,10 @@ class ReplayTest(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder:
             bag, truth = make_bag(folder)
             code, said, plants = replay(folder, "bag:=" + bag)
+            with sqlite3.connect(os.path.join(folder, "out", "journal.sqlite")) as journal:
+                reports = journal.execute("SELECT block_x, block_y FROM report").fetchall()
         self.assertEqual(code, 0, said)
+        self.assertEqual(len(reports), len(set(reports)), "each block is worked once")
         self.assertRegex(said, r"30 scans, in \S+ s, \S+ x real time: all is worked")
         self.assertNotIn("WARN", said)
         self.assertEqual(len(plants), len(truth), said)

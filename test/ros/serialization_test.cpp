@@ -68,6 +68,8 @@ Block fieldBlock() {
   block.ground_points = 77U;
   block.feet = someCloud(3U);
   block.isolated = someCloud(2U);
+  block.joined = {someHeader(), someHeader()};
+  block.joined[1].index = {-6, 9};
   return block;
 }
 
@@ -170,6 +172,8 @@ TEST(Wire, BringsABlockBackWhole) {
   const Block sent = fieldBlock();
   const auto got = overTheWire<Block, Block>(sent);
   expectSame(sent.header, got.header);
+  ASSERT_EQ(got.joined.size(), sent.joined.size());
+  for (std::size_t t = 0; t < sent.joined.size(); ++t) expectSame(sent.joined[t], got.joined[t]);
   expectSame(sent.cloud, got.cloud);
   expectSame(sent.ground, got.ground);
   EXPECT_EQ(sent.ground_points, got.ground_points);

@@ -1,8 +1,10 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <algorithm>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/preprocessing/ground_model.hpp"
@@ -51,14 +53,27 @@ struct BlockHeader {
 };
 
 /// One tile of the scene with a margin of its neighbours, ready for segmentation: denoised, the
-/// soil taken out. Immutable once handed on.
+/// soil taken out. Or several tiles that adjoin, with one margin about all of them, for what lies
+/// between them is worked once then. Immutable once handed on.
 struct Block {
-  BlockHeader header;
+  BlockHeader header;                ///< of joined tiles: of the first, as old as the youngest
+  std::vector<BlockHeader> joined;   ///< what each of joined tiles says of itself; empty: one tile
   PointCloud cloud;                  ///< above-ground points only
   GroundModel ground;                ///< in the local frame of `cloud`
   std::uint32_t ground_points = 0U;  ///< soil points that were taken out
   PointCloud feet;                   ///< those beside what stands there: its foot may be among them
   PointCloud isolated;  ///< above the soil, taken out as outliers: sparse organs may be among them
+
+  /// What its tiles say of themselves: one, unless several were joined.
+  std::vector<BlockHeader> tiles() const {
+    return joined.empty() ? std::vector<BlockHeader>{header} : joined;
+  }
+
+  /// Whether (x, y) of the map frame lies in one of its tiles, or within `tolerance` [m] of one.
+  bool holds(double x, double y, double tolerance = 0.0) const {
+    const auto has = [&](const BlockHeader& tile) { return tile.holds(x, y, tolerance); };
+    return joined.empty() ? has(header) : std::any_of(joined.begin(), joined.end(), has);
+  }
 };
 
 }  // namespace field_phenotyping

@@ -34,6 +34,7 @@ struct ScanReport {
 /// What has accumulated for one block, taken out of the map: all that finishBlock() needs.
 struct BlockPoints {
   BlockHeader header;
+  std::vector<BlockHeader> joined;  ///< as in Block
   PointCloud cloud;  ///< voxel centroids of the tile and its margin, soil and outliers among them
 };
 
@@ -50,6 +51,9 @@ Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
 /// Not thread-safe, except that several makeBlock() may run at once while nothing else does.
 class Preprocessor {
  public:
+  /// As much as is worked at once, for memory follows it.
+  static constexpr std::size_t kMostJoined = 6U;
+
   /// @param frame_id frame of the map, written into every block
   /// @param tile_corner of tile (0, 0) [m]: where tiles begin is free, but must not change
   Preprocessor(const PreprocessingParameters& parameters, std::string frame_id,
@@ -76,18 +80,31 @@ class Preprocessor {
   /// How many of them no scan reaches any more: they are held only until they are handed on.
   std::size_t finishedBlocks() const;
 
+  /// Time of the first scan that reached tile `index` [ns since the epoch]; 0 where none has.
+  std::uint64_t beganAt(const BlockIndex& index) const;
+
+  /// Whether no scan reaches block `index` any more.
+  bool isFinished(const BlockIndex& index) const;
+
   /// Whether what is handed on of block `index` now is a draft.
   bool isDraft(const BlockIndex& index, bool flush) const;
 
-  /// Takes out what has accumulated for block `index`: a copy, much quicker than finishBlock().
-  BlockPoints collect(const BlockIndex& index, bool flush) const;
+  /// The blocks that can be worked as one with block `first` of `due`: it alone, if scans still
+  /// reach it; else with those others of `due` that no scan reaches either and that adjoin it or
+  /// one another, up to kMostJoined of them. `first` comes first.
+  std::vector<BlockIndex> joinedWith(const BlockIndex& first, const std::vector<BlockIndex>& due,
+                                     bool flush) const;
+
+  /// Takes out what has accumulated for these blocks, to be worked as one: a copy, much quicker
+  /// than finishBlock().
+  BlockPoints collect(const std::vector<BlockIndex>& indices, bool flush) const;
 
   /// Builds block `index` from what has accumulated. Thread-safe against other makeBlock().
   Block makeBlock(const BlockIndex& index, bool flush, const ComputeDevice& device = {},
                   DensePoints* before_thinning = nullptr) const;
 
-  /// Notes that `block` has been handed on, or collected to be: its tile is not due again until it
-  /// changes; final tiles far from the sensor are forgotten.
+  /// Notes that the tile `block` has been handed on, or collected to be: it is not due again until
+  /// it changes; final tiles far from the sensor are forgotten.
   void markHandedOn(const BlockHeader& block);
 
   /// Forgets everything (time jumped back, frame changed).

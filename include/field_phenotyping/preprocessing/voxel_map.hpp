@@ -81,8 +81,9 @@ class VoxelMap {
   /// Local origin of a tile in the map frame: its centre, at the map's height datum.
   Eigen::Vector3d originOf(const BlockIndex& index) const;
 
-  /// Points of a tile and of its eight neighbours, as far as they lie within `margin` of the tile.
-  PointCloud extract(const BlockIndex& index, double margin) const;
+  /// Points of tiles and of their neighbours, as far as they lie within `margin` [m] of one of the
+  /// tiles. The cloud's origin is in the middle of the tiles.
+  PointCloud extract(const std::vector<BlockIndex>& wanted, double margin) const;
 
   VoxelTile& tile(const BlockIndex& index) { return tiles_[index]; }
   const VoxelTile* find(const BlockIndex& index) const;

@@ -32,9 +32,14 @@ struct KnownPlant {
 /// It also settles which block reports a plant. Two blocks that share a border both see the plants
 /// on it, and may place a base on either side; the first block to claim such a plant keeps it until
 /// it no longer finds it, so no plant is reported twice or lost. A claim holds among blocks that
-/// are seen at about the same time, kClaimHolds, and not against the block that the map has carried
-/// the plant into in a later pass. Where two blocks have given one plant two ids, as they had
-/// placed it too far apart at first, one of them is given up once the places have come together.
+/// are seen at about the same time, kClaimHolds, and not against the block in whose tile the plant
+/// stands in a later pass, or for the last time before the claim's own block. Where two blocks have
+/// given one plant two ids, as they had placed it too far apart at first, one of them is given up
+/// once the places have come together.
+///
+/// An id that a block gave before it could know how the map has moved is provisional: a neighbour
+/// that knows may take it back even after the block has spoken for the last time. What that block
+/// said has then to be said once more, Outcome::taken_back.
 ///
 /// Of each plant ever named it holds an id, a place and a time: about 40 bytes. Thread-safe.
 class PlantRegistry {
@@ -46,11 +51,20 @@ class PlantRegistry {
   /// What a block has claimed is free again so long after its newest scan [ns].
   static constexpr std::uint64_t kClaimHolds = 600'000'000'000U;
 
+  /// An id that was given in doubt and is no plant's any more. Blocks that will report again need
+  /// not be told.
+  struct TakenBack {
+    std::int32_t id = -1;
+    std::int32_t older = -1;  ///< the plant's own id; -1: another block reports the plant
+  };
+
   /// What became of a block's plants.
   struct Outcome {
     std::size_t known = 0U;                           ///< plants that had an id
     std::size_t added = 0U;                           ///< plants that were given one
+    std::size_t provisional = 0U;                     ///< ids it reports that may be taken back
     Eigen::Vector2d shift = Eigen::Vector2d::Zero();  ///< of the map since the last pass [m]
+    std::vector<TakenBack> taken_back;                ///< in what was said before
   };
 
   /// @param match_radius [m] two bases nearer than this are one plant
@@ -117,19 +131,23 @@ class PlantRegistry {
   void noteShift(const BlockHeader& header, const Eigen::Vector2d& shift, bool since_known);
   void file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns);
   void takeOut(const Known& known);
+  void keepOwnPlants(SegmentedBlock& block) const;
   void releaseClaims(const BlockHeader& header);
   bool isInDoubt(std::int32_t id) const;
   template <class MayBe>
   std::size_t oneAt(const Eigen::Vector2d& place, const std::vector<Known>& near,
                     const MayBe& mayBe) const;
   void giveOlderIdsBack(const std::vector<Eigen::Vector2d>& bases, const std::vector<Known>& near,
-                        std::uint64_t began_ns, Matches& matches);
-  void giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64_t began_ns, Matches& matches);
+                        std::uint64_t began_ns, Matches& matches,
+                        std::vector<TakenBack>& taken_back);
+  void giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64_t began_ns, Matches& matches,
+                              std::vector<TakenBack>& taken_back);
   const Claims* claimsOn(std::int32_t id) const;
   void releaseClaim(std::int32_t id);
-  void takeOver(const Known& known, const Eigen::Vector2d& base, const BlockHeader& header);
+  void takeOver(std::int32_t id, const Eigen::Vector2d& base, const BlockHeader& header);
   bool isSameAsAnothers(std::int32_t id, const Eigen::Vector2d& base,
-                        const std::vector<Known>& near, std::vector<bool>& given);
+                        const std::vector<Known>& near, std::vector<bool>& given,
+                        std::vector<TakenBack>& taken_back);
 
   const double match_radius_;
   mutable std::mutex mutex_;
