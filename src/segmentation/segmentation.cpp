@@ -212,13 +212,14 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   std::vector<float> heights;
   heights.reserve(points.size());
   for (const Eigen::Vector3f& point : points) heights.push_back(block.ground.heightAbove(point));
-  const GrowthScene scene{points, shapes, grid, SamplingProfile(heights, shapes)};
+  const SamplingProfile sampling(heights, shapes);
+  const GrowthScene scene{points, shapes, grid};
   const float plant_height = canopyHeight(std::move(heights));
   const StemSelection selection(block, grid, parameters);
 
   // Step 1: start points, and the stems that grow from them; where those are, and where they end.
   std::vector<GrownStem> stems = fitStand(
-      scene, selection, plant_height,
+      scene, selection, plant_height, sampling,
       findStandingStems(scene, block, selection, plant_height, parameters), parameters, device);
 
   // Steps 2-4: the growth of each stem, with parameters of its own.

@@ -30,8 +30,8 @@ bool staysOn(const StemAxis& longer, const StemAxis& axis) {
 /// Carries stems on upwards as far as points show them, where plants are taller than the sensor
 /// sees well: what is sampled ever more sparsely looked empty as long as it was not known how
 /// sparsely.
-void carryOn(const GrowthScene& scene, float max_radius, float plant_height,
-             std::vector<GrownStem>& stems) {
+void carryOn(const GrowthScene& scene, const SamplingProfile& sampling, float max_radius,
+             float plant_height, std::vector<GrownStem>& stems) {
   constexpr float kStep = 0.25F;   // [m]
   constexpr float kLeast = 0.05F;  // [m] that counts as going on
   constexpr int kMostSteps = 6;
@@ -41,12 +41,12 @@ void carryOn(const GrowthScene& scene, float max_radius, float plant_height,
     bool goes_on = false;
     for (int step = 0; step < kMostSteps; ++step) {
       const float end = midline.axis.length();
-      if (scene.sampling.at(static_cast<double>(end)) >= 1.0) break;
+      if (sampling.at(static_cast<double>(end)) >= 1.0) break;
       Midline longer = midline;
       longer.axis = midline.axis.extendedBy(kStep);
       const std::vector<std::uint32_t> around =
           pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
-      const float occupied = findOccupiedEnd(scene.points, around, longer, scene.sampling);
+      const float occupied = findOccupiedEnd(scene.points, around, longer, sampling);
       if (occupied < end + kLeast) break;
       Midline fitted =
           fitMidline(scene.points, around, longer.axis.below(occupied), max_radius, plant_height);
@@ -58,18 +58,17 @@ void carryOn(const GrowthScene& scene, float max_radius, float plant_height,
     midline.axis = midline.axis.extendedBy(kStep);
     midline.axis = midline.axis.below(
         findStemTop(scene.points, pointsAround(scene, midline.axis, kStemSurroundings * max_radius),
-                    midline, scene.sampling));
+                    midline, sampling));
     const float end = midline.axis.length();
-    if (end > stems[s].midline.axis.length() &&
-        scene.sampling.at(static_cast<double>(end)) < kSparse) {
+    if (end > stems[s].midline.axis.length() && sampling.at(static_cast<double>(end)) < kSparse) {
       stems[s].midline = std::move(midline);
     }
   });
 }
 
 /// Where a stem of that stand ends; its axis has been cut where it alone shows an end.
-Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLength& stand,
-                      float max_radius, float plant_height) {
+Midline withLikelyEnd(const GrowthScene& scene, const SamplingProfile& sampling, Midline midline,
+                      const StandLength& stand, float max_radius, float plant_height) {
   constexpr float kSpreads = 2.0F;
   const StemAxis& axis = midline.axis;
   const float longest =
@@ -79,8 +78,7 @@ Midline withLikelyEnd(const GrowthScene& scene, Midline midline, const StandLeng
   longer.axis = axis.extendedBy(longest - axis.length());
   const std::vector<std::uint32_t> around =
       pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
-  midline.axis =
-      longer.axis.below(findStemTop(scene.points, around, longer, scene.sampling, stand));
+  midline.axis = longer.axis.below(findStemTop(scene.points, around, longer, sampling, stand));
   return midline;
 }
 
@@ -111,29 +109,30 @@ double canopyAlong(const GrowthScene& scene, const StemAxis& axis, float plant_h
 }
 
 /// Lets the stems learn from one another where they end.
-void poolEnds(const GrowthScene& scene, float max_radius, float plant_height,
-              std::vector<GrownStem>& stems) {
+void poolEnds(const GrowthScene& scene, const SamplingProfile& sampling, float max_radius,
+              float plant_height, std::vector<GrownStem>& stems) {
   std::vector<double> lengths(stems.size());
   std::vector<double> heights(stems.size());
   parallelFor(stems.size(), [&](std::size_t s) {
     lengths[s] = static_cast<double>(stems[s].midline.axis.length());
     heights[s] = canopyAlong(scene, stems[s].midline.axis, plant_height);
   });
-  const std::vector<StandLength> stands = standLengths(lengths, heights, scene.sampling);
+  const std::vector<StandLength> stands = standLengths(lengths, heights, sampling);
   // Rolled leaves run on where a whorl begins. Where nothing else shows that a stem came out too
   // long, leaves are believed to stand in its core more densely than beside it.
   constexpr double kAlone = 2.0;
   parallelFor(stems.size(), [&](std::size_t s) {
     Midline& midline = stems[s].midline;
     if (stands[s].known()) {
-      midline = withLikelyEnd(scene, std::move(midline), stands[s], max_radius, plant_height);
+      midline =
+          withLikelyEnd(scene, sampling, std::move(midline), stands[s], max_radius, plant_height);
     } else {
       Midline longer = midline;
       longer.axis = midline.axis.extendedBy(kBeyondEnd * plant_height);
       const std::vector<std::uint32_t> around =
           pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
       midline.axis =
-          longer.axis.below(findStemTop(scene.points, around, longer, scene.sampling, {}, kAlone));
+          longer.axis.below(findStemTop(scene.points, around, longer, sampling, {}, kAlone));
     }
   });
 }
@@ -209,14 +208,18 @@ void steadySeedlings(float plant_height, std::vector<GrownStem>& stems) {
 }  // namespace
 
 std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& selection,
-                                float plant_height, std::vector<GrownStem> stems,
+                                float plant_height, const SamplingProfile& of_stand,
+                                std::vector<GrownStem> stems,
                                 const SegmentationParameters& parameters,
                                 const ComputeDevice& device) {
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
-  carryOn(scene, max_radius, plant_height, stems);
+  // A few plants show how a plant is built rather than how it is sampled.
+  constexpr std::size_t kFewStems = 5U;
+  const SamplingProfile sampling = stems.size() < kFewStems ? SamplingProfile() : of_stand;
+  carryOn(scene, sampling, max_radius, plant_height, stems);
   constexpr double kWidened = 1.2;  // of a midline among leaves
   refineMidlines(scene, max_radius, plant_height, kWidened, false, device, stems);
-  poolEnds(scene, max_radius, plant_height, stems);
+  poolEnds(scene, sampling, max_radius, plant_height, stems);
   stems = refitSeedlings(scene, selection, plant_height, std::move(stems), parameters);
   refineMidlines(scene, max_radius, plant_height, 1.0, true, device, stems);
   steadySeedlings(plant_height, stems);

@@ -7,7 +7,6 @@
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
 #include "field_phenotyping/segmentation/midline.hpp"
-#include "field_phenotyping/segmentation/sampling_profile.hpp"
 
 namespace field_phenotyping {
 
@@ -16,7 +15,6 @@ struct GrowthScene {
   const std::vector<Eigen::Vector3f>& points;  ///< local frame [m]
   const std::vector<LocalShape>& shapes;       ///< of each point
   const NeighborGrid& grid;                    ///< over the points
-  SamplingProfile sampling = {};               ///< by height above the soil
 };
 
 /// Points within about `radius` [m] of an axis, its ends included; ascending.

@@ -5,6 +5,7 @@
 #include "field_phenotyping/common/compute_device.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/growth_scene.hpp"
+#include "field_phenotyping/segmentation/sampling_profile.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "field_phenotyping/segmentation/stem_verification.hpp"
 
@@ -14,10 +15,12 @@ namespace field_phenotyping {
 /// of which shows the other, and of which the stems tell one another. Seedlings are fitted anew,
 /// and two that come to one stem are one.
 /// @param plant_height about how high the plants are [m]
-/// @param device what leaf bases are searched for on; all else is the CPU's
+/// @param sampling     of the block; not asked where there are few stems
+/// @param device       what leaf bases are searched for on; all else is the CPU's
 /// Thread-safe; deterministic.
 std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& selection,
-                                float plant_height, std::vector<GrownStem> stems,
+                                float plant_height, const SamplingProfile& sampling,
+                                std::vector<GrownStem> stems,
                                 const SegmentationParameters& parameters,
                                 const ComputeDevice& device = {});
 
