@@ -203,6 +203,11 @@ class Bench:
         return os.path.join(self._folder, '{}_{}'.format(name, self._count))
 
 
+def _mind_interrupts():
+    """What a shell starts in the background ignores them, and rosbag then does not end well."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 class Watch:
     """Records the diagnostics at a ROS master."""
 
@@ -214,6 +219,7 @@ class Watch:
             env=environment,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
+            preexec_fn=_mind_interrupts,
         )
 
     def stop(self):
