@@ -94,10 +94,11 @@ boost::shared_ptr<const SegmentedBlock> SegmentationStage::takeBack(
     const PlantRegistry::TakenBack& wrong) {
   const auto is_wrong = [&](const Plant& plant) { return plant.owned && plant.id == wrong.id; };
   for (auto& kept : provisional_) {
-    if (std::none_of(kept->plants.begin(), kept->plants.end(), is_wrong)) continue;
+    const auto found = std::find_if(kept->plants.begin(), kept->plants.end(), is_wrong);
+    if (found == kept->plants.end()) continue;
     const auto revised = boost::make_shared<SegmentedBlock>(*kept);
     ++revised->header.revision;
-    Plant& plant = *std::find_if(revised->plants.begin(), revised->plants.end(), is_wrong);
+    Plant& plant = revised->plants[static_cast<std::size_t>(found - kept->plants.begin())];
     plant.id = wrong.older;
     plant.owned = wrong.older >= 0;
     kept = revised;

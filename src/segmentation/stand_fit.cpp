@@ -18,6 +18,19 @@ namespace {
 
 constexpr float kSeedling = 0.7F;  // [m] lower than plants whose stems have grown out of the whorl
 
+/// Carries an axis on by some way, and cuts it where the stem ends; see findStemTop().
+/// @param beyond [m]
+Midline cutAtTop(const GrowthScene& scene, const SamplingProfile& sampling, Midline midline,
+                 float beyond, float max_radius, const StandLength& stand = {},
+                 double leaf_density = 1.0) {
+  midline.axis = midline.axis.extendedBy(beyond);
+  const std::vector<std::uint32_t> around =
+      pointsAround(scene, midline.axis, kStemSurroundings * max_radius);
+  midline.axis =
+      midline.axis.below(findStemTop(scene.points, around, midline, sampling, stand, leaf_density));
+  return midline;
+}
+
 /// Whether an axis is another one, carried on.
 bool staysOn(const StemAxis& longer, const StemAxis& axis) {
   constexpr float kApart = 0.01F;  // [m]
@@ -55,10 +68,7 @@ void carryOn(const GrowthScene& scene, const SamplingProfile& sampling, float ma
       goes_on = true;
     }
     if (!goes_on) return;
-    midline.axis = midline.axis.extendedBy(kStep);
-    midline.axis = midline.axis.below(
-        findStemTop(scene.points, pointsAround(scene, midline.axis, kStemSurroundings * max_radius),
-                    midline, sampling));
+    midline = cutAtTop(scene, sampling, std::move(midline), kStep, max_radius);
     const float end = midline.axis.length();
     if (end > stems[s].midline.axis.length() && sampling.at(static_cast<double>(end)) < kSparse) {
       stems[s].midline = std::move(midline);
@@ -74,12 +84,8 @@ Midline withLikelyEnd(const GrowthScene& scene, const SamplingProfile& sampling,
   const float longest =
       std::max(axis.length() + kBeyondEnd * plant_height,
                static_cast<float>(stand.typical) + kSpreads * static_cast<float>(stand.spread));
-  Midline longer = midline;
-  longer.axis = axis.extendedBy(longest - axis.length());
-  const std::vector<std::uint32_t> around =
-      pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
-  midline.axis = longer.axis.below(findStemTop(scene.points, around, longer, sampling, stand));
-  return midline;
+  const float beyond = longest - axis.length();
+  return cutAtTop(scene, sampling, std::move(midline), beyond, max_radius, stand);
 }
 
 /// How far along a stem's axis the canopy reaches there [m].
@@ -127,12 +133,8 @@ void poolEnds(const GrowthScene& scene, const SamplingProfile& sampling, float m
       midline =
           withLikelyEnd(scene, sampling, std::move(midline), stands[s], max_radius, plant_height);
     } else {
-      Midline longer = midline;
-      longer.axis = midline.axis.extendedBy(kBeyondEnd * plant_height);
-      const std::vector<std::uint32_t> around =
-          pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
-      midline.axis =
-          longer.axis.below(findStemTop(scene.points, around, longer, sampling, {}, kAlone));
+      midline = cutAtTop(scene, sampling, std::move(midline), kBeyondEnd * plant_height, max_radius,
+                         {}, kAlone);
     }
   });
 }

@@ -198,19 +198,26 @@ TEST(PlantRegistry, PlantsNamedBeforeTheShiftIsKnownGetTheirOlderIds) {
   EXPECT_EQ(registry.size(), bases.size());
 }
 
+/// Nine plants along x, the first of which stands at `from`.
+std::vector<Eigen::Vector2d> rowFrom(double from) {
+  std::mt19937 random(4U);
+  std::normal_distribution<double> sown(0.0, 0.015);
+  std::vector<Eigen::Vector2d> bases;
+  for (int k = 0; k < 9; ++k) {
+    bases.emplace_back((k == 0 ? from : 0.2 * k) + sown(random), 1.0 + sown(random));
+  }
+  return bases;
+}
+
 /// The map has moved by 10 cm, and a block at the end of the row sees but its last plant: too few
 /// to know it. Its neighbour sees enough.
 /// @param from where the row begins; the neighbour's tile begins at 0
 void passTheEndOfARow(double from) {
   SCOPED_TRACE(from);
   constexpr std::uint64_t kSecond = 1'000'000'000U;
-  std::mt19937 random(4U);
-  std::normal_distribution<double> sown(0.0, 0.015);
-  std::vector<Eigen::Vector2d> bases, moved;
-  for (int k = 0; k < 9; ++k) {
-    bases.emplace_back((k == 0 ? from : 0.2 * k) + sown(random), 1.0 + sown(random));
-    moved.emplace_back(bases.back() + Eigen::Vector2d(0.04, 0.09));
-  }
+  const std::vector<Eigen::Vector2d> bases = rowFrom(from);
+  std::vector<Eigen::Vector2d> moved;
+  for (const Eigen::Vector2d& base : bases) moved.emplace_back(base + Eigen::Vector2d(0.04, 0.09));
   PlantRegistry registry;
   const auto pass = [&](const BlockIndex& index, const std::vector<Eigen::Vector2d>& seen,
                         std::uint64_t began, std::uint64_t stamp) {
@@ -250,13 +257,9 @@ TEST(PlantRegistry, PlantsThatAnotherBlockNamedInDoubtGetTheirOlderIdsToo) {
 void passTheEndOfARowForTheLastTime(double from, double off, bool left_again) {
   SCOPED_TRACE(::testing::Message() << from << ", " << off << " m off");
   constexpr std::uint64_t kSecond = 1'000'000'000U;
-  std::mt19937 random(4U);
-  std::normal_distribution<double> sown(0.0, 0.015);
-  std::vector<Eigen::Vector2d> bases, moved;
-  for (int k = 0; k < 9; ++k) {
-    bases.emplace_back((k == 0 ? from : 0.2 * k) + sown(random), 1.0 + sown(random));
-    moved.emplace_back(bases.back() + Eigen::Vector2d(0.04, 0.09));
-  }
+  const std::vector<Eigen::Vector2d> bases = rowFrom(from);
+  std::vector<Eigen::Vector2d> moved;
+  for (const Eigen::Vector2d& base : bases) moved.emplace_back(base + Eigen::Vector2d(0.04, 0.09));
   PlantRegistry registry;
   std::map<BlockIndex, std::vector<std::int32_t>> said;  // what counts of each block
   const auto pass = [&](const BlockIndex& index, const std::vector<Eigen::Vector2d>& seen,
