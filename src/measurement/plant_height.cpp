@@ -7,6 +7,7 @@
 #include "common/gpu_streams.hpp"
 #include "common/xyz.hpp"
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
 #include "measurement/outermost_heights_gpu.hpp"
@@ -20,6 +21,7 @@ constexpr int kSpacings = OutermostHeights::kMost - 1;  // of an end's outermost
 struct End {
   double z = 0.0;        ///< of the outermost point
   double spacing = 0.0;  ///< mean spacing in height of the outermost points; 0 of a single point
+  float last = 0.0F;     ///< height of the last of these
 };
 
 End endOf(const OutermostHeights& outermost, float upwards) {
@@ -27,6 +29,7 @@ End endOf(const OutermostHeights& outermost, float upwards) {
   const int count = outermost.count;
   if (count == 0) return end;
   end.z = static_cast<double>(upwards * outermost.heights[0]);
+  end.last = upwards * outermost.heights[count - 1];
   if (count > 1) {
     end.spacing = std::abs(outermost.heights[0] - outermost.heights[count - 1]) /
                   static_cast<double>(count - 1);
@@ -106,6 +109,30 @@ class Overhang {
   double most_ = std::numeric_limits<double>::infinity();
 };
 
+/// How few points are seen about the top of each plant: 1 where there are none but those that it
+/// has itself, 0 where they lead from one to the next.
+std::vector<double> sparsenessOfTops(const SegmentedBlock& block, const std::vector<End>& tops) {
+  constexpr float kAround = 0.04F;  // [m]
+  constexpr double kEnough = 10.0;  // neighbours
+  const std::vector<Eigen::Vector3f>& points = block.cloud.points;
+  const NeighborGrid grid(points, kAround);
+  std::vector<double> sparseness(tops.size(), 0.0);
+  parallelFor(tops.size(), [&](std::size_t plant) {
+    double highest = 0.0;
+    double neighbors = 0.0;
+    const IndexSpan& own = block.plants[plant].points;
+    for (std::uint32_t i = own.begin; i < own.end; ++i) {
+      if (points[i].z() < tops[plant].last) continue;
+      highest += 1.0;
+      grid.forEachWithin(points[i], kAround, [&](std::uint32_t k, float) {
+        if (k != i) neighbors += 1.0;
+      });
+    }
+    if (highest > 0.0) sparseness[plant] = std::max(0.0, 1.0 - neighbors / (kEnough * highest));
+  });
+  return sparseness;
+}
+
 }  // namespace
 
 std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
@@ -117,6 +144,7 @@ std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
   // Where there is soil it says where plants begin.
   const std::vector<End> bottoms = soil ? std::vector<End>() : endsOf(block, -1.0F, device);
   const Overhang below(block, bottoms);
+  const std::vector<double> sparseness = sparsenessOfTops(block, tops);
   const double corrected = parameters.mode == "paper" ? 0.0 : 1.0;
 
   std::vector<PlantHeight> heights(block.plants.size());
@@ -143,6 +171,10 @@ std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
       result.height.value = top - bottoms[i].z + corrected * below_bottom.value;
       result.height.stddev = std::hypot(above_top.stddev, below_bottom.stddev);
     }
+    // Of a plant's height: a tassel's branches, or the tip of a leaf.
+    constexpr double kTopShare = 0.05;
+    result.height.stddev = std::hypot(
+        result.height.stddev, kTopShare * sparseness[i] * std::max(result.height.value, 0.0));
   }
   return heights;
 }

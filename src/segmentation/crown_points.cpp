@@ -1,8 +1,10 @@
 #include "field_phenotyping/segmentation/crown_points.hpp"
 
 #include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <algorithm>
-#include <limits>
+#include <cstdint>
+#include <map>
 #include <utility>
 
 #include "field_phenotyping/common/neighbor_grid.hpp"
@@ -10,73 +12,168 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kTube = 0.06F;     // [m] round a stem's line
-constexpr float kHighest = 1.5F;   // [m] above a stem's end
-constexpr float kMostGap = 0.25F;  // [m] along the line, without a point of the plant
+constexpr float kTube = 0.10F;    // [m] round a stem's line: a tassel's branches, and what it leans
+constexpr float kHighest = 1.5F;  // [m] above a stem's end
+constexpr float kMostGap = 0.60F;  // [m] along the line, without a point of the plant
 
 /// A stem's line above its end.
 struct Line {
   Eigen::Vector3f end = Eigen::Vector3f::Zero();
   Eigen::Vector3f direction = Eigen::Vector3f::UnitZ();
+  bool known = false;
 
   explicit Line(const StemAxis& axis) {
+    constexpr float kUpper = 0.75F;  // share of the stem, above which it shows where it points
     if (axis.empty()) return;
+    known = true;
     end = axis.pointAt(axis.length());
-    direction = (end - axis.pointAt(0.5F * axis.length())).normalized();
+    direction = (end - axis.pointAt(kUpper * axis.length())).normalized();
   }
   float along(const Eigen::Vector3f& point) const { return (point - end).dot(direction); }
+  float aside(const Eigen::Vector3f& point) const {
+    return (point - end - along(point) * direction).norm();
+  }
 };
+
+/// A point that may go to another plant.
+struct Candidate {
+  Eigen::Vector3f place;
+  std::int32_t* owner;
+  bool isolated = false;
+  std::int32_t nearest = -1;  // plant whose line is nearest, if it is within the tube
+  float aside = kTube;        // [m] of that line
+};
+
+std::vector<Candidate> findCandidates(const Block& block, double sparse_from, PointOwners& owners,
+                                      PointOwners& isolated) {
+  const auto is_sparse = [&](const Eigen::Vector3f& point) {
+    return static_cast<double>(block.ground.heightAbove(point)) >= sparse_from;
+  };
+  std::vector<Candidate> candidates;
+  for (std::size_t i = 0; i < owners.plant.size(); ++i) {
+    const Eigen::Vector3f& point = block.cloud.points[i];
+    if (owners.stem[i] < 0 && (owners.plant[i] < 0 || is_sparse(point))) {
+      candidates.push_back({point, &owners.plant[i]});
+    }
+  }
+  for (std::size_t i = 0; i < isolated.plant.size(); ++i) {
+    const Eigen::Vector3f& point = block.isolated.points[i];
+    if (isolated.stem[i] < 0 && is_sparse(point)) {
+      candidates.push_back({point, &isolated.plant[i], true});
+    }
+  }
+  return candidates;
+}
+
+void findNearestLines(const std::vector<Line>& lines, std::vector<Candidate>& candidates) {
+  std::vector<Eigen::Vector3f> places;
+  for (const Candidate& candidate : candidates) places.push_back(candidate.place);
+  const NeighborGrid grid(places, kTube);
+  for (std::size_t plant = 0; plant < lines.size(); ++plant) {
+    const Line& line = lines[plant];
+    if (!line.known) continue;
+    grid.forEachWithinOfLine(line.end, line.end + kHighest * line.direction, kTube,
+                             [&](std::uint32_t k) {
+                               Candidate& candidate = candidates[k];
+                               const float aside = line.aside(candidate.place);
+                               if (line.along(candidate.place) < 0.0F) return;
+                               if (!(aside < candidate.aside)) return;
+                               candidate.aside = aside;
+                               candidate.nearest = static_cast<std::int32_t>(plant);
+                             });
+  }
+}
+
+/// How many times as many points dust has within the tubes as beside them, in a box about a stand.
+float dustWithinTubes(const std::vector<Line>& lines, const Eigen::AlignedBox2f& stand) {
+  constexpr float kStep = 0.05F;  // [m]
+  std::vector<Eigen::Vector3f> middles;
+  for (const Line& line : lines) middles.emplace_back(line.end.x(), line.end.y(), 0.0F);
+  const NeighborGrid grid(middles, kTube);
+  float within = 0.0F;
+  float beside = 0.0F;
+  for (float x = stand.min().x(); x < stand.max().x(); x += kStep) {
+    for (float y = stand.min().y(); y < stand.max().y(); y += kStep) {
+      (grid.hasWithin({x, y, 0.0F}, kTube, 1U) ? within : beside) += 1.0F;
+    }
+  }
+  return within / std::max(beside, 1.0F);
+}
+
+/// Takes isolated points out of the tubes at heights where they may well be dust, which is
+/// everywhere, while tassels are above their stems.
+void dropDust(const Block& block, const std::vector<Line>& lines, double sparse_from,
+              std::vector<Candidate>& candidates) {
+  constexpr float kLayer = 0.20F;   // [m]
+  constexpr float kAround = 0.30F;  // [m] beside the outermost lines
+  constexpr float kTimes = 3.0F;    // as many as dust would have
+  struct Layer {
+    float within = 0.0F;
+    float beside = 0.0F;
+  };
+  std::map<int, Layer> layers;
+  const auto layerOf = [&](const Candidate& candidate) -> Layer& {
+    const double above =
+        static_cast<double>(block.ground.heightAbove(candidate.place)) - sparse_from;
+    return layers[static_cast<int>(above / static_cast<double>(kLayer))];
+  };
+  Eigen::AlignedBox2f stand;
+  for (const Line& line : lines) stand.extend(line.end.head<2>());
+  stand.min().array() -= kAround;
+  stand.max().array() += kAround;
+  for (const Candidate& candidate : candidates) {
+    if (!candidate.isolated || !stand.contains(candidate.place.head<2>())) continue;
+    Layer& layer = layerOf(candidate);
+    (candidate.nearest >= 0 ? layer.within : layer.beside) += 1.0F;
+  }
+  if (layers.empty()) return;
+  const float of_dust = dustWithinTubes(lines, stand);
+  for (Candidate& candidate : candidates) {
+    if (!candidate.isolated || candidate.nearest < 0) continue;
+    const Layer& layer = layerOf(candidate);
+    if (layer.within < kTimes * of_dust * layer.beside) candidate.nearest = -1;
+  }
+}
+
+/// Whether a point's owner has as good a claim to it as the plant with the nearest line.
+bool isNearOwner(const Candidate& candidate, const std::vector<Line>& lines) {
+  constexpr float kNearly = 2.0F;  // times the distance of the nearest line
+  if (*candidate.owner < 0 || *candidate.owner == candidate.nearest) return false;
+  const Line& line = lines[static_cast<std::size_t>(*candidate.owner)];
+  return line.along(candidate.place) > 0.0F &&
+         line.aside(candidate.place) < kNearly * candidate.aside;
+}
 
 }  // namespace
 
-void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes,
-                     std::vector<std::int32_t>& owner) {
-  const std::vector<Eigen::Vector3f>& points = block.cloud.points;
-  std::vector<std::uint32_t> free;
-  std::vector<Eigen::Vector3f> places;  // of them
-  for (std::uint32_t i = 0; i < points.size(); ++i) {
-    if (owner[i] >= 0) continue;
-    free.push_back(i);
-    places.push_back(points[i]);
-  }
-  if (free.empty()) return;
+void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, double sparse_from,
+                     PointOwners& owners, PointOwners& isolated) {
+  std::vector<Candidate> candidates = findCandidates(block, sparse_from, owners, isolated);
+  if (candidates.empty() || axes.empty()) return;
   std::vector<Line> lines;
   for (const StemAxis& axis : axes) lines.emplace_back(axis);
-  std::vector<float> reached(axes.size(), 0.0F);  // along each line, by points of its plant
-  for (std::size_t i = 0; i < points.size(); ++i) {
-    if (owner[i] < 0) continue;
-    const auto plant = static_cast<std::size_t>(owner[i]);
-    reached[plant] = std::max(reached[plant], lines[plant].along(points[i]));
-  }
+  findNearestLines(lines, candidates);
+  dropDust(block, lines, sparse_from, candidates);
 
-  // Each goes to the line that it is nearest to.
-  const NeighborGrid grid(places, kTube);
-  constexpr std::size_t kNone = std::numeric_limits<std::size_t>::max();
-  std::vector<std::size_t> nearest(free.size(), kNone);
-  std::vector<float> least(free.size(), kTube);
-  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
-    if (axes[plant].empty()) continue;
-    const Line& line = lines[plant];
-    grid.forEachWithinOfLine(
-        line.end, line.end + kHighest * line.direction, kTube, [&](std::uint32_t k) {
-          const float along = line.along(places[k]);
-          const float aside = (places[k] - line.end - along * line.direction).norm();
-          if (along < 0.0F || aside >= least[k]) return;
-          least[k] = aside;
-          nearest[k] = plant;
-        });
+  std::vector<float> reached(lines.size(), 0.0F);  // along each line, by points of its plant
+  for (std::size_t i = 0; i < owners.plant.size(); ++i) {
+    if (owners.plant[i] < 0) continue;
+    const auto plant = static_cast<std::size_t>(owners.plant[i]);
+    reached[plant] = std::max(reached[plant], lines[plant].along(block.cloud.points[i]));
   }
-  std::vector<std::vector<std::pair<float, std::uint32_t>>> crowns(axes.size());  // upwards
-  for (std::uint32_t k = 0; k < free.size(); ++k) {
-    if (nearest[k] == kNone) continue;
-    crowns[nearest[k]].emplace_back(lines[nearest[k]].along(places[k]), free[k]);
+  std::vector<std::vector<std::pair<float, std::size_t>>> crowns(lines.size());  // upwards
+  for (std::size_t k = 0; k < candidates.size(); ++k) {
+    const Candidate& candidate = candidates[k];
+    if (candidate.nearest < 0 || isNearOwner(candidate, lines)) continue;
+    const auto plant = static_cast<std::size_t>(candidate.nearest);
+    crowns[plant].emplace_back(lines[plant].along(candidate.place), k);
   }
-  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
+  for (std::size_t plant = 0; plant < lines.size(); ++plant) {
     std::sort(crowns[plant].begin(), crowns[plant].end());
-    for (const auto& [along, i] : crowns[plant]) {
+    for (const auto& [along, k] : crowns[plant]) {
       if (along > reached[plant] + kMostGap) break;
       reached[plant] = std::max(reached[plant], along);
-      owner[i] = static_cast<std::int32_t>(plant);
+      *candidates[k].owner = static_cast<std::int32_t>(plant);
     }
   }
 }

@@ -29,6 +29,14 @@ SamplingProfile::SamplingProfile(const std::vector<float>& heights,
     points[band] += 1.0;
     neighbors[band] += static_cast<double>(shapes[i].neighbors) - 1.0;  // itself is one
   }
+  constexpr double kFewNeighbors = 8.0;
+  std::size_t sparse = points.size();
+  while (sparse > 0U && (points[sparse - 1U] < kLeastPoints ||
+                         neighbors[sparse - 1U] < kFewNeighbors * points[sparse - 1U])) {
+    --sparse;
+  }
+  if (sparse < points.size()) sparse_from_ = kBand * static_cast<double>(sparse);
+
   while (!points.empty() && points.back() < kLeastPoints) points.pop_back();
   for (std::size_t band = 0; band < points.size(); ++band) {
     bands_.push_back(points[band] < kLeastPoints ? 0.0 : neighbors[band] / points[band]);

@@ -235,7 +235,6 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     owners.stem = resolveOwners(scene, stems);
     const std::vector<StemAxis> axes = axesOf(stems);
     owners.plant = assignOrgans(block, axes, owners.stem, parameters, device);
-    giveCrownPoints(block, axes, owners.plant);
   };
   giveToPlants();
   const std::vector<bool> tillers = findTillers(scene, block, stems, owners.plant);
@@ -247,7 +246,10 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     stems = std::move(plants);
     giveToPlants();
   }
-  return assemble(block, stems, owners, findIsolatedPoints(block, grid, axesOf(stems), owners));
+  const std::vector<StemAxis> axes = axesOf(stems);
+  PointOwners isolated = findIsolatedPoints(block, grid, axes, owners);
+  giveCrownPoints(block, axes, sampling.sparseFrom(), owners, isolated);
+  return assemble(block, stems, owners, isolated);
 }
 
 }  // namespace field_phenotyping

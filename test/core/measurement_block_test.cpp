@@ -295,6 +295,21 @@ TEST(Measurement, APointFarAboveAPlantMakesItsHeightUncertainAndNoOthers) {
   }
 }
 
+TEST(Measurement, ATopAboutWhichHardlyAnythingIsSeenMakesTheHeightUncertain) {
+  const auto measured = [](double spacing) {
+    BlockBuilder builder;
+    builder.soil(kFlat, 0.002F).plant(PlantTruth(), 5U);
+    std::vector<Eigen::Vector3d> spike;
+    for (double z = 2.3; z > 2.0; z -= spacing) spike.push_back({1.0, 1.0, z});
+    builder.organ(spike);
+    return measurePlantHeights(builder.block(), {}).front().height;
+  };
+  // The highest point has so many neighbours below it, within 4 cm.
+  EXPECT_LT(measured(0.002).stddev, 0.012);
+  EXPECT_GT(measured(0.05).stddev, 0.1);
+  EXPECT_LT(measured(0.05).stddev, 0.15);
+}
+
 TEST(Measurement, MissingSoilIsFlagged) {
   BlockBuilder missing;
   missing.soil(kFlat, 0.004F, false, false).plant(PlantTruth(), 5U);

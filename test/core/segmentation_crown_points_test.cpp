@@ -2,7 +2,9 @@
 
 #include <gtest/gtest.h>
 
-#include <cmath>
+#include <algorithm>
+#include <limits>
+#include <random>
 #include <vector>
 
 #include "field_phenotyping/segmentation/crown_points.hpp"
@@ -10,13 +12,17 @@
 namespace field_phenotyping {
 namespace {
 
-/// Two stems of 2 m, 20 cm apart, that lean alike.
+constexpr double kNowhere = std::numeric_limits<double>::infinity();
+
+/// Two stems of 2 m, 20 cm apart, that lean alike. The soil is at height 0.
 struct Crowns {
   Block block;
   std::vector<StemAxis> axes;
-  std::vector<std::int32_t> owner;
+  PointOwners owners;
+  PointOwners isolated;
+  double sparse_from = kNowhere;
 
-  explicit Crowns(float lean) {
+  explicit Crowns(float lean = 0.0F) {
     for (const float x : {0.0F, 0.2F}) {
       axes.emplace_back(std::vector<StemAxis::Node>{{{x, 0.0F, 0.0F}, 0.012F},
                                                     {{x + lean, 0.0F, 1.0F}, 0.01F},
@@ -26,15 +32,23 @@ struct Crowns {
   }
   std::size_t add(const Eigen::Vector3f& point, std::int32_t of = -1) {
     block.cloud.points.push_back(point);
-    owner.push_back(of);
-    return owner.size() - 1U;
+    owners.stem.push_back(-1);
+    owners.plant.push_back(of);
+    return owners.plant.size() - 1U;
+  }
+  std::size_t addIsolated(const Eigen::Vector3f& point) {
+    block.isolated.points.push_back(point);
+    isolated.stem.push_back(-1);
+    isolated.plant.push_back(-1);
+    return isolated.plant.size() - 1U;
   }
   /// Off the line of a stem. @param above its end [m]
   Eigen::Vector3f over(std::size_t plant, float above, float aside) const {
     const StemAxis& axis = axes[plant];
     return axis.pointAt(axis.length() + above) + Eigen::Vector3f(0.0F, aside, 0.0F);
   }
-  void give() { giveCrownPoints(block, axes, owner); }
+  std::int32_t ownerOf(std::size_t i) const { return owners.plant[i]; }
+  void give() { giveCrownPoints(block, axes, sparse_from, owners, isolated); }
 };
 
 TEST(CrownPoints, GoToTheStemThatTheyStandAbove) {
@@ -47,49 +61,89 @@ TEST(CrownPoints, GoToTheStemThatTheyStandAbove) {
       of_second.push_back(crowns.add(crowns.over(1, above, -0.03F)));
     }
     crowns.give();
-    for (const std::size_t i : of_first) EXPECT_EQ(crowns.owner[i], 0) << "lean " << lean;
-    for (const std::size_t i : of_second) EXPECT_EQ(crowns.owner[i], 1) << "lean " << lean;
+    for (const std::size_t i : of_first) EXPECT_EQ(crowns.ownerOf(i), 0) << "lean " << lean;
+    for (const std::size_t i : of_second) EXPECT_EQ(crowns.ownerOf(i), 1) << "lean " << lean;
   }
 }
 
-TEST(CrownPoints, WhatIsAnothersStaysSo) {
-  Crowns crowns(0.0F);
+TEST(CrownPoints, WhatIsAnothersStaysSoWhereLeavesLeadToIt) {
+  Crowns crowns;
   const std::size_t leaf = crowns.add(crowns.over(0, 0.2F, 0.0F), 1);
   crowns.give();
-  EXPECT_EQ(crowns.owner[leaf], 1);
+  EXPECT_EQ(crowns.ownerOf(leaf), 1);
+}
+
+TEST(CrownPoints, WhatIsAnothersGoesToTheStemBelowWhereLittleIsSeen) {
+  Crowns crowns;
+  crowns.sparse_from = 2.1;
+  const std::size_t low = crowns.add(crowns.over(0, 0.05F, 0.0F), 1);
+  const std::size_t high = crowns.add(crowns.over(0, 0.2F, 0.0F), 1);
+  const std::size_t between = crowns.add({0.09F, 0.0F, 2.2F}, 1);
+  const std::size_t stem = crowns.add(crowns.over(0, 0.25F, 0.0F), 1);
+  crowns.owners.stem[stem] = 1;
+  crowns.give();
+  EXPECT_EQ(crowns.ownerOf(low), 1);
+  EXPECT_EQ(crowns.ownerOf(high), 0);
+  EXPECT_EQ(crowns.ownerOf(between), 1) << "its owner is nearly as near";
+  EXPECT_EQ(crowns.ownerOf(stem), 1);
+}
+
+TEST(CrownPoints, OutliersThatStandAboveStemsAreTheirs) {
+  Crowns crowns;
+  crowns.sparse_from = 2.1;
+  const std::size_t low = crowns.addIsolated(crowns.over(0, 0.05F, 0.02F));
+  const std::size_t first = crowns.addIsolated(crowns.over(0, 0.3F, 0.02F));
+  const std::size_t second = crowns.addIsolated(crowns.over(1, 0.4F, -0.03F));
+  crowns.give();
+  EXPECT_EQ(crowns.isolated.plant[low], -1);
+  EXPECT_EQ(crowns.isolated.plant[first], 0);
+  EXPECT_EQ(crowns.isolated.plant[second], 1);
+}
+
+TEST(CrownPoints, DustIsNoPlants) {
+  Crowns crowns;
+  crowns.sparse_from = 2.1;
+  std::mt19937 random(3);
+  std::uniform_real_distribution<float> aside(-0.5F, 0.5F);
+  std::uniform_real_distribution<float> height(2.1F, 3.5F);
+  for (int k = 0; k < 2000; ++k) {
+    crowns.addIsolated({aside(random), aside(random), height(random)});
+  }
+  crowns.give();
+  const auto& plants = crowns.isolated.plant;
+  EXPECT_TRUE(std::all_of(plants.begin(), plants.end(), [](std::int32_t of) { return of < 0; }));
 }
 
 TEST(CrownPoints, NotWhatStandsBesideTheLineOrBelowTheEnd) {
-  Crowns crowns(0.0F);
-  const std::size_t beside = crowns.add(crowns.over(0, 0.2F, 0.08F));
+  Crowns crowns;
+  const std::size_t beside = crowns.add(crowns.over(0, 0.2F, 0.12F));
   const std::size_t below = crowns.add(crowns.over(0, -0.5F, 0.03F));
   crowns.give();
-  EXPECT_EQ(crowns.owner[beside], -1);
-  EXPECT_EQ(crowns.owner[below], -1);
+  EXPECT_EQ(crowns.ownerOf(beside), -1);
+  EXPECT_EQ(crowns.ownerOf(below), -1);
 }
 
 TEST(CrownPoints, NotWhatHangsHighAboveThePlant) {
-  Crowns crowns(0.0F);
-  const std::size_t wire = crowns.add(crowns.over(0, 0.7F, 0.0F));
+  Crowns crowns;
+  const std::size_t wire = crowns.add(crowns.over(0, 0.9F, 0.0F));
   crowns.give();
-  EXPECT_EQ(crowns.owner[wire], -1);
+  EXPECT_EQ(crowns.ownerOf(wire), -1);
   // Leaves that are known to be the plant's reach up to it.
   crowns.add({0.15F, 0.1F, 2.5F}, 0);
   crowns.give();
-  EXPECT_EQ(crowns.owner[wire], 0);
+  EXPECT_EQ(crowns.ownerOf(wire), 0);
 }
 
 TEST(CrownPoints, NoPointsNoPlants) {
-  Crowns crowns(0.0F);
-  crowns.block.cloud.points.clear();
-  crowns.owner.clear();
-  crowns.give();
-  EXPECT_TRUE(crowns.owner.empty());
   Block block;
+  PointOwners owners;
+  PointOwners isolated;
+  giveCrownPoints(block, {}, 0.0, owners, isolated);
+  EXPECT_TRUE(owners.plant.empty());
   block.cloud.points = {{0.0F, 0.0F, 1.0F}};
-  std::vector<std::int32_t> owner = {-1};
-  giveCrownPoints(block, {}, owner);
-  EXPECT_EQ(owner.front(), -1);
+  owners = {{-1}, {-1}};
+  giveCrownPoints(block, {}, 0.0, owners, isolated);
+  EXPECT_EQ(owners.plant.front(), -1);
 }
 
 }  // namespace

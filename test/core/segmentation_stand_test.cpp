@@ -163,8 +163,25 @@ TEST(SamplingProfile, LowPartsInTheShadeOfLeavesCountAsSampledBest) {
   EXPECT_DOUBLE_EQ(profile.at(1.5), 1.0);
 }
 
+TEST(SamplingProfile, SaysFromWhereOnNothingLeadsFromPointToPoint) {
+  // 8 neighbours of 200.
+  EXPECT_NEAR(fallingAbove().sparseFrom(), 1.5 + std::log(200.0 / 8.0) / 4.0, 0.1);
+  // A band that is sparse below one that is not does not count, nor do stray points at the top.
+  std::vector<float> heights;
+  std::vector<LocalShape> shapes(1000U);
+  for (std::size_t k = 0; k < shapes.size(); ++k) {
+    heights.push_back(0.001F * static_cast<float>(k));
+    shapes[k].neighbors = k < 500U ? 2U : 30U;
+  }
+  EXPECT_TRUE(std::isinf(SamplingProfile(heights, shapes).sparseFrom()));
+  heights.push_back(1.45F);
+  shapes.emplace_back();
+  EXPECT_NEAR(SamplingProfile(heights, shapes).sparseFrom(), 1.0, 1e-9);
+}
+
 TEST(SamplingProfile, IsOneWhereNothingTells) {
   EXPECT_DOUBLE_EQ(SamplingProfile().at(1.0), 1.0);
+  EXPECT_TRUE(std::isinf(SamplingProfile().sparseFrom()));
   EXPECT_DOUBLE_EQ(SamplingProfile({}, {}).at(1.0), 1.0);
   EXPECT_DOUBLE_EQ(SamplingProfile({0.01F, 0.02F}, {LocalShape(), LocalShape()}).at(1.0), 1.0)
       << "soil";

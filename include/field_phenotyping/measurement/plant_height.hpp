@@ -26,6 +26,10 @@ struct PlantHeight {
 /// enters the standard deviation beside that of the soil; a plant whose highest points are farther
 /// apart than in any stand may have been given another's, and its own spacing enters there.
 ///
+/// Where hardly anything is seen about the highest points, nothing leads from one to the next, and
+/// which plant they are of can be told by where they stand only: the standard deviation grows, by
+/// up to a twentieth of the plant's height.
+///
 /// Without soil in the block the height is that above the lowest point of the plant, its standard
 /// deviation that of the sampling only. In mode "paper": the highest point, nothing added.
 /// Thread-safe; deterministic; plants are worked side by side. Their outermost points are looked

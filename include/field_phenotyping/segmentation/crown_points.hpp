@@ -1,21 +1,28 @@
 #pragma once
 
-#include <cstdint>
 #include <vector>
 
 #include "field_phenotyping/preprocessing/block.hpp"
+#include "field_phenotyping/segmentation/isolated_points.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 
 namespace field_phenotyping {
 
-/// Gives what stands right above a stem, and is no plant's yet, to that stem's plant. The points of
-/// a tassel that is hardly seen lie so far apart that nothing leads from one to the next; but a
-/// tassel stands on its stem's line, and hardly anything else does up there.
+/// Gives what stands right above a stem to that stem's plant, where nothing but that tells whose it
+/// is. The points of a tassel that is hardly seen lie so far apart that nothing leads from one to
+/// the next, or to those of another plant sooner than to its own; but a tassel stands on its stem's
+/// line, and hardly anything else does up there.
 ///
-/// @param axes  one a plant; the upper half shows where a stem points
-/// @param owner per point of `block.cloud`: index of its plant, or -1; filled in
+/// What is no plant's yet goes to the line that it is nearest to, up to where too much of that is
+/// empty. From `sparse_from` upwards so does what was given to another plant, unless that one's
+/// line is nearly as near, and what was taken out as an outlier, if there is no dust.
+///
+/// @param axes        one a plant; the upper part shows where a stem points
+/// @param sparse_from height above the soil [m], see SamplingProfile::sparseFrom()
+/// @param owners      of the points of `block.cloud`; filled in. Points of stems stay theirs
+/// @param isolated    of the points of `block.isolated`; filled in
 /// Pure function; lengths in metres.
-void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes,
-                     std::vector<std::int32_t>& owner);
+void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, double sparse_from,
+                     PointOwners& owners, PointOwners& isolated);
 
 }  // namespace field_phenotyping

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <limits>
 #include <vector>
 
 #include "field_phenotyping/segmentation/local_shape.hpp"
@@ -21,8 +22,13 @@ class SamplingProfile {
   /// Density at a height above the soil [m], in (0, 1]: 1 up to the best one, falling above.
   double at(double height) const;
 
+  /// Height above the soil [m] from which on points have so few neighbours that nothing leads from
+  /// one to the next; infinite where that is nowhere so.
+  double sparseFrom() const { return sparse_from_; }
+
  private:
   std::vector<double> bands_;  // of equal height, upwards from the soil
+  double sparse_from_ = std::numeric_limits<double>::infinity();
 };
 
 }  // namespace field_phenotyping
