@@ -307,12 +307,13 @@ struct MeasurementParameters {
       p.ellipticity_prior, 0.0, 1.0);
     v(ParameterInfo{"block_shape_prior", "",
                     "noise, taper and ellipticity of a stem are expected to be like those of the "
-                    "block's other stems, and a diameter quite unlike theirs is known less well "
-                    "(unlike_stand)"},
+                    "block's other stems, its diameter to be within 20 % of theirs (one standard "
+                    "deviation), and one quite unlike them is known less well (unlike_stand)"},
       p.block_shape_prior, false, true);
     v(ParameterInfo{"block_diameter_prior", "",
-                    "the same of its diameter, which pulls diameters towards the block's mean: not "
-                    "for trials whose plots differ; needs block_shape_prior"},
+                    "its diameter is expected to be as like theirs as theirs are like each other, "
+                    "which pulls diameters towards the block's mean: not for trials whose plots "
+                    "differ; needs block_shape_prior"},
       p.block_diameter_prior, false, true);
     v(ParameterInfo{"min_quality", "",
                     "plants whose stem scores less (Q of Eq 9) are flagged low_confidence"},

@@ -65,6 +65,7 @@ StemExtent extentOf(const std::vector<Eigen::Vector3d>& points) {
   const double difference =
       std::hypot(0.5 * (scatter(0, 0) - scatter(1, 1)), scatter(0, 1)) / count;
   extent.width_variance = mean + difference;  // the larger eigenvalue
+  extent.depth_variance = mean - difference;
   return extent;
 }
 

@@ -23,6 +23,11 @@ using Information = Eigen::Matrix<double, kCrossSectionSize, kCrossSectionSize, 
 constexpr double kFullArc = 0.72;
 constexpr double kPartArc = 0.15;
 constexpr double kPartArcExcess = 0.25;
+// Of less than half of one it leans to small radii besides, and neither does the prior know better,
+// that takes the size from the width of what is seen.
+constexpr double kHalfArc = 0.45;
+constexpr double kShortArc = 0.1;
+constexpr double kShortArcExcess = 0.5;
 
 /// Mean of |z| for z ~ N(mean, covariance) in the plane: |z| is a quarter of the integral of
 /// |z . d| over all directions d, and the mean of each |z . d| is known in closed form.
@@ -78,15 +83,6 @@ void setPriorShares(double radius_variance, double ellipse_variance, const Infor
 void scale(double factor, int first, int size, Information& covariance) {
   covariance.middleRows(first, size) *= std::sqrt(factor);
   covariance.middleCols(first, size) *= std::sqrt(factor);
-}
-
-/// By how much the variances of a fit of few points are too small: it follows their noise in more
-/// than its own parameters, as in which of them it takes for outliers. As of residuals, n / (n -
-/// fitted).
-double fewPointsFactor(const SurfaceMixtureFit& fit) {
-  constexpr double kLeastFree = 0.4;  // share of the points: less is no better known
-  const double free = std::max(fit.surface_points - fit.fitted, kLeastFree * fit.surface_points);
-  return fit.surface_points / free;
 }
 
 /// Widens the covariance of some parameters to at least that of `other`.
@@ -164,14 +160,17 @@ StemCrossSection crossSectionOf(const SurfaceMixtureFit& fit, const CrossSection
     widen(Eigen::Map<const Information>(other), kRadius, 1, covariance);
     widen(Eigen::Map<const Information>(other), kEllipse, 2, covariance);
   }
-  scale(fewPointsFactor(fit), kRadius, 1, covariance);
   const double ellipse_variance =
       std::pow(std::max(prior.ellipticity_stddev, 1e-4) * p[kRadius], 2);
   addElongation(prior.elongation.stddev, covariance);
   result.arc_coverage = fit.arc_coverage;
   const double unseen = std::clamp((kFullArc - result.arc_coverage) / kPartArc, 0.0, 1.0);
-  scale(std::pow(1.0 + kPartArcExcess * unseen, 2), kRadius, 1, covariance);
-  limitRadius(fit.radius_prior_variance, covariance);
+  const double thicker = 1.0 + std::sqrt(covariance(kRadius, kRadius)) / p[kRadius];
+  const double less = std::clamp((kHalfArc - result.arc_coverage / thicker) / kShortArc, 0.0, 1.0);
+  const double short_arc = std::pow(1.0 + kShortArcExcess * less, 2);
+  scale(std::pow(1.0 + kPartArcExcess * unseen, 2) * short_arc, kRadius, 1, covariance);
+  const bool size_by_width = !(prior.radius.stddev > 0.0);
+  limitRadius(fit.radius_prior_variance * (size_by_width ? short_arc : 1.0), covariance);
   limitEllipticity(shapeless, ellipse_variance, covariance);
 
   result.valid = true;

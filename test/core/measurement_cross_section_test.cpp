@@ -289,7 +289,8 @@ TEST(CrossSection, UnbiasedAndHonestAroundTheWholeStem) {
   for (const double noise : {0.001, 0.002, 0.003, 0.004}) {
     Scene scene;
     scene.noise = noise;
-    const Score score = printed("noise " + std::to_string(noise * 1e3).substr(0, 4), scene);
+    const Score score =
+        printed("noise " + std::to_string(noise * 1e3).substr(0, 4), scene, {}, 400);
     EXPECT_LT(std::abs(score.bias), 0.10 + 0.08e3 * noise);
     EXPECT_LT(std::abs(score.bias_equivalent), 0.15);
     EXPECT_LT(score.rmse, 1.4 * score.bound);
@@ -332,6 +333,26 @@ TEST(CrossSection, FewPointsAreHonest) {
   EXPECT_LT(coverage, 0.98);
 }
 
+TEST(CrossSection, NoiseOfFewPointsIsNotTooSmall) {
+  // The places of the points round the stem are fitted too: that must not be taken for less noise.
+  constexpr int kSamples = 200;
+  for (const int points : {20, 50}) {
+    Scene scene;
+    scene.diameter = 0.010;
+    scene.points = points;
+    scene.noise = 0.002;
+    scene.span = 0.1;
+    double sum = 0.0;
+    for (int i = 0; i < kSamples; ++i) {
+      const Sample sample = makeSample(scene, 9000U + static_cast<std::uint32_t>(i));
+      sum += fitStemCrossSection(sample.points, {}).log_noise.value;
+    }
+    EXPECT_NEAR(sum / kSamples, std::log(scene.noise), 0.12) << points << " points";
+    const Score score = printed("10 mm, points " + std::to_string(points), scene, {}, 200);
+    EXPECT_LT(std::abs(score.bias), 0.5) << points << " points";
+  }
+}
+
 TEST(CrossSection, NoiseAsLargeAsTheStem) {
   Scene scene;
   scene.noise = 0.010;
@@ -364,6 +385,19 @@ TEST(CrossSection, SeenInPart) {
   EXPECT_LT(half.rmse, 1.3 * half.bound);
   EXPECT_LT(std::abs(half.bias), 0.6);
   EXPECT_GT(half.coverage, 0.86);
+}
+
+TEST(CrossSection, LessThanHalfOfAStemIsKnownBadlyAndSaysSo) {
+  for (const double noise : {0.001, 0.002}) {
+    for (const double arc : {90.0, 120.0, 150.0}) {
+      Scene scene;
+      scene.noise = noise;
+      scene.points = 500;
+      scene.arc = arc;
+      const Score score = printed("arc " + std::to_string(arc).substr(0, 3), scene, {}, 200);
+      EXPECT_GT(score.coverage, 0.86) << arc << " deg, noise " << noise;
+    }
+  }
 }
 
 TEST(CrossSection, LeafPoints) {

@@ -62,6 +62,7 @@ struct KnownOfStem {
 struct StemExtent {
   double reach = 0.0;           ///< largest distance from the reference axis [m]
   double width_variance = 0.0;  ///< across the stem, in the direction in which it is largest [m^2]
+  double depth_variance = 0.0;  ///< across that [m^2]
 };
 
 /// The stem's axis at a height.
@@ -262,9 +263,12 @@ struct ParameterPrior {
   FIELD_PHENOTYPING_HD ParameterPrior(const KnownOfStem& known, const StemExtent& extent,
                                       const CrossSectionVector& parameters) {
     // Weak priors that only matter where points are few or seen from one side. Whether half or all
-    // of a stem is seen, its points are 2 r wide; of a quarter they are 1.2 r wide.
-    constexpr double kSizeMean = 1.2;    // relative to what the width says of a half or whole one
+    // of a stem is seen, its points are 2 r wide; of a quarter they are 1.2 r wide. As deep as wide
+    // are those of a stem that is seen all round; those of half of one are less than half as deep.
+    constexpr double kSizeOfFlat = 1.2;  // relative to what the width says of a half or whole one
     constexpr double kSizeStddev = 0.4;  // the same
+    constexpr double kFlat = 0.25;       // share of the depth's variance in the width's
+    constexpr double kRound = 0.6;
     constexpr double kTiltStddev = 0.3;
     constexpr double kCurvatureStddev = 0.5;  // [1/m]
     constexpr double kTwistStddev = 0.3;      // [1/m^2]
@@ -279,11 +283,16 @@ struct ParameterPrior {
     set(kTwist, 2, 0.0, kTwistStddev);
     const double noise = exponential(parameters[kNoise]);
     const double variance = extent.width_variance;
-    const double size = std::sqrt(2.0 * largerOf(variance - noise * noise, 0.25 * variance));
+    const double wide = largerOf(variance - noise * noise, 0.25 * variance);
+    const double size = std::sqrt(2.0 * wide);
     if (known.radius_stddev > 0.0) {
       set(kRadius, 1, known.radius, known.radius_stddev);
     } else {
-      set(kRadius, 1, kSizeMean * size, kSizeStddev * size);
+      const double roundness = (extent.depth_variance - noise * noise) / wide;
+      const double of_round = (roundness - kFlat) / (kRound - kFlat);
+      const double mean =
+          kSizeOfFlat + (1.0 - kSizeOfFlat) * smallerOf(largerOf(of_round, 0.0), 1.0);
+      set(kRadius, 1, mean * size, kSizeStddev * size);
     }
     set(kTaper, 1, known.taper * radius, known.taper_stddev * radius);
     set(kTaperChange, 1, known.taper_change * radius, known.taper_change_stddev * radius);

@@ -60,11 +60,11 @@ struct StemCrossSection {
 /// evenly over the disc that holds all points. Noise along the surface moves points outwards, by
 /// about s^2/(2 r), and blurs the ends of a half-seen arc; both are part of the model. How many
 /// points lie where round the stem is found with the shape (surface_mixture.hpp), so that unseen
-/// sides are no evidence. The noise is found by residual maximum likelihood. The covariance is the
-/// inverse of the observed information (Louis 1982), with the shares of the sides integrated out;
-/// it is never less than the Kanatani-Cramer-Rao bound, and widened where patches of the surface
-/// disagree by more, for few points, for half-seen arcs, and for what is not known of the noise
-/// along the surface.
+/// sides are no evidence. The noise is found by residual maximum likelihood, for shape and places.
+/// The covariance is the inverse of the observed information (Louis 1982), with the shares of the
+/// sides integrated out; it is never less than the Kanatani-Cramer-Rao bound, and widened where
+/// patches of the surface disagree by more, for arcs of half of a stem and more for shorter ones,
+/// and for what is not known of the noise along the surface.
 ///
 /// Priors keep sparse and half-seen stems sane: those of `prior`, weak ones by default, and weak
 /// ones on tilt, curvature and twist. As the larger of two noisy semi-axes reads too large, `major`

@@ -21,7 +21,6 @@ struct SurfaceMixtureFit {
   double radius_prior_variance = 0.0;
   double outlier_share = 0.0;
   double surface_points = 0.0;  ///< expected number of points that are no outliers
-  double fitted = 0.0;          ///< parameters of the shape that the points, not the priors, decide
   double freedom = 0.0;       ///< points that the noise is known from, beyond those that the shape
                               ///< takes; its prior counts too
   double arc_coverage = 0.0;  ///< share of the circumference at which points are
@@ -323,15 +322,14 @@ class SurfaceMixtureSolver {
       fit.radius_prior_variance = 1.0 / prior_.weight[kRadius];
       fit.outlier_share = outlier_share_;
       fit.surface_points = members;
-      fit.fitted = fitted_;
-      fit.freedom = members - fitted_ + 0.5 * prior_.weight[kNoise];
+      fit.freedom = members - fitted_shape_ + 0.5 * prior_.weight[kNoise];
       fit.arc_coverage = arc_coverage;
     }
     team_.sync();
   }
 
  private:
-  static constexpr double kRidge = 1e-2;  // inverse variance of a share's logarithm: none is
+  static constexpr double kRidge = 1e-3;  // inverse variance of a share's logarithm: none is
                                           // exactly zero
 
   /// What is the same for all points.
@@ -760,7 +758,30 @@ class SurfaceMixtureSolver {
         (points_.count - shared_.sums->members + kPseudoOutliers) / (points_.count + kPseudoPoints);
     fillParameters(shared_.sums->known, evaluated_prior_);
     teamFactor(team_, shared_.matrix, kCrossSectionSize);
-    fitted_ = fittedParameters(team_, shared_.matrix, prior_, shared_.right);
+    fitted_shape_ = fittedParameters(team_, shared_.matrix, prior_, shared_.right);
+    fitted_ = fitted_shape_ + fittedByShares();
+  }
+
+  /// How many parameters' worth of the noise the shares were fitted to: minus half of the
+  /// derivative of the log-determinant of their information by the logarithm of the noise. Waves of
+  /// m periods round the stem that the noise blurs by exp(-m^2 s^2 / (2 r^2)) are known by the
+  /// square of that.
+  FIELD_PHENOTYPING_HD double fittedByShares() const {
+    constexpr double kNegligible = 1e-3;
+    const double blur = exponential(parameters_[kNoise]) / parameters_[kRadius];
+    const double arc = arcCoverage();
+    const double of_points = 0.5 * shared_.sums->members / arc;
+    double fitted = 0.0;
+    for (int m = 1; 2 * m < bins_; ++m) {
+      const double blurred = m * m * blur * blur;
+      const double information = of_points * exponential(-blurred);
+      const double slope = mixture::kTwoPi * m / bins_;
+      const double prior = 0.5 * bins_ * (smoothness_ * slope * slope + kRidge);
+      const double more = 2.0 * blurred * information / (information + prior);  // sine and cosine
+      fitted += arc * more;
+      if (blurred > 1.0 && more < kNegligible) break;
+    }
+    return fitted;
   }
 
   /// Information of the parameters alone, with that of their priors, to the matrix.
@@ -984,7 +1005,8 @@ class SurfaceMixtureSolver {
   double smoothness_ = 0.0;  // inverse variance of the difference of neighbours
   double share_scale_ = 1.0;
   double outlier_share_;
-  double fitted_ = 0.0;  // parameters that the points, not the priors, decide
+  double fitted_shape_ = 0.0;  // parameters that the points, not the priors, decide
+  double fitted_ = 0.0;        // those, and what the shares take from the noise
   // Where the sums were taken, and with what.
   double value_ = 0.0;  // logarithm of the posterior
   CrossSectionVector evaluated_;
