@@ -114,19 +114,26 @@ class Overhang {
 std::vector<double> sparsenessOfTops(const SegmentedBlock& block, const std::vector<End>& tops) {
   constexpr float kAround = 0.04F;  // [m]
   constexpr double kEnough = 10.0;  // neighbours
-  const std::vector<Eigen::Vector3f>& points = block.cloud.points;
-  const NeighborGrid grid(points, kAround);
+  float lowest = std::numeric_limits<float>::infinity();
+  for (std::size_t plant = 0; plant < tops.size(); ++plant) {
+    if (!block.plants[plant].points.empty()) lowest = std::min(lowest, tops[plant].last);
+  }
+  std::vector<Eigen::Vector3f> high;
+  for (const Eigen::Vector3f& point : block.cloud.points) {
+    if (point.z() >= lowest - kAround) high.push_back(point);
+  }
+  const NeighborGrid grid(high, kAround);
   std::vector<double> sparseness(tops.size(), 0.0);
   parallelFor(tops.size(), [&](std::size_t plant) {
     double highest = 0.0;
     double neighbors = 0.0;
     const IndexSpan& own = block.plants[plant].points;
     for (std::uint32_t i = own.begin; i < own.end; ++i) {
-      if (points[i].z() < tops[plant].last) continue;
+      const Eigen::Vector3f& point = block.cloud.points[i];
+      if (point.z() < tops[plant].last) continue;
       highest += 1.0;
-      grid.forEachWithin(points[i], kAround, [&](std::uint32_t k, float) {
-        if (k != i) neighbors += 1.0;
-      });
+      neighbors -= 1.0;  // itself
+      grid.forEachWithin(point, kAround, [&](std::uint32_t, float) { neighbors += 1.0; });
     }
     if (highest > 0.0) sparseness[plant] = std::max(0.0, 1.0 - neighbors / (kEnough * highest));
   });
