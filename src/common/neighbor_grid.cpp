@@ -11,6 +11,7 @@ namespace field_phenotyping {
 namespace {
 
 constexpr int kMaxCellsPerAxis = 1 << 21;
+constexpr std::size_t kChunk = 16384U;  // points of a task
 
 }  // namespace
 
@@ -39,7 +40,9 @@ GridGeometry gridGeometry(const std::vector<Eigen::Vector3f>& points, float cell
 
   const std::uint64_t rows = geometry.rows_y * (static_cast<std::uint64_t>(geometry.last[2]) + 1U);
   constexpr std::uint64_t kBucketsPerPoint = 8U;
-  const std::uint64_t most_buckets = kBucketsPerPoint * points.size() + 4096U;
+  constexpr std::uint64_t kMostBuckets = 0xFFFFFFFFU;  // that their numbers hold
+  const std::uint64_t most_buckets =
+      std::min(kBucketsPerPoint * points.size() + 4096U, kMostBuckets);
   geometry.has_table = rows <= most_buckets;
   if (!geometry.has_table) return geometry;
   const auto buckets = [&] {
@@ -54,53 +57,68 @@ GridGeometry gridGeometry(const std::vector<Eigen::Vector3f>& points, float cell
 NeighborGrid::NeighborGrid(const std::vector<Eigen::Vector3f>& points, float cell)
     : geometry_(gridGeometry(points, cell)) {
   if (points.empty()) return;
-  std::vector<std::uint64_t> row_of(points.size());
-  std::vector<int> cell_x(points.size());
-  constexpr std::size_t kChunk = 16384U;
-  parallelChunks(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      cell_x[i] = geometry_.cellOf(points[i].x(), 0);
-      row_of[i] =
-          geometry_.rowOf(geometry_.cellOf(points[i].y(), 1), geometry_.cellOf(points[i].z(), 2));
-    }
-  });
-
-  // By row, then by cell; ties by source index, so that the order depends on the points alone.
-  const auto before = [&](std::uint32_t a, std::uint32_t b) {
-    if (row_of[a] != row_of[b]) return row_of[a] < row_of[b];
-    return cell_x[a] != cell_x[b] ? cell_x[a] < cell_x[b] : a < b;
-  };
   order_.resize(points.size());
   if (geometry_.has_table) {
-    const auto bucketOf = [&](std::uint32_t i) { return geometry_.bucketOf(cell_x[i], row_of[i]); };
-    begin_.assign(geometry_.buckets + 1U, 0U);
-    for (std::uint32_t i = 0; i < points.size(); ++i) ++begin_[bucketOf(i) + 1U];
-    std::partial_sum(begin_.begin(), begin_.end(), begin_.begin());
-    std::vector<std::uint32_t> next(begin_.begin(), begin_.end() - 1);
-    for (std::uint32_t i = 0; i < points.size(); ++i) order_[next[bucketOf(i)]++] = i;
-    if (geometry_.bucket_shift > 0U) {
-      for (std::size_t bucket = 0; bucket + 1U < begin_.size(); ++bucket) {
-        if (begin_[bucket + 1U] - begin_[bucket] < 2U) continue;
-        std::sort(order_.begin() + begin_[bucket], order_.begin() + begin_[bucket + 1U], before);
-      }
-    }
+    sortByBuckets(points);
   } else {
-    std::iota(order_.begin(), order_.end(), 0U);
-    std::sort(order_.begin(), order_.end(), before);
-    rows_.resize(points.size());
-    for (std::size_t k = 0; k < order_.size(); ++k) rows_[k] = row_of[order_[k]];
+    sortByRows(points);
   }
-  cell_x_.resize(points.size());
+  if (!geometry_.has_table || geometry_.bucket_shift > 0U) cell_x_.resize(points.size());
   for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(points.size() + kLanes);
   parallelChunks(order_.size(), kChunk, [&](std::size_t begin, std::size_t end) {
     for (std::size_t k = begin; k < end; ++k) {
       const Eigen::Vector3f& point = points[order_[k]];
-      cell_x_[k] = cell_x[order_[k]];
+      if (!cell_x_.empty()) cell_x_[k] = geometry_.cellOf(point.x(), 0);
       x_[k] = point.x();
       y_[k] = point.y();
       z_[k] = point.z();
     }
   });
+}
+
+std::uint64_t NeighborGrid::rowOf(const Eigen::Vector3f& point) const {
+  return geometry_.rowOf(geometry_.cellOf(point.y(), 1), geometry_.cellOf(point.z(), 2));
+}
+
+void NeighborGrid::sortByBuckets(const std::vector<Eigen::Vector3f>& points) {
+  std::vector<std::uint32_t> bucket_of(points.size());
+  parallelChunks(points.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      bucket_of[i] = static_cast<std::uint32_t>(
+          geometry_.bucketOf(geometry_.cellOf(points[i].x(), 0), rowOf(points[i])));
+    }
+  });
+  // Where each bucket begins is counted on while it is filled, to where the next one begins.
+  begin_.assign(geometry_.buckets + 2U, 0U);
+  for (const std::uint32_t bucket : bucket_of) ++begin_[bucket + 2U];
+  std::partial_sum(begin_.begin(), begin_.end(), begin_.begin());
+  for (std::uint32_t i = 0; i < points.size(); ++i) order_[begin_[bucket_of[i] + 1U]++] = i;
+  begin_.pop_back();
+  if (geometry_.bucket_shift == 0U) return;
+  const auto before = [&](std::uint32_t a, std::uint32_t b) {
+    const int cell_a = geometry_.cellOf(points[a].x(), 0);
+    const int cell_b = geometry_.cellOf(points[b].x(), 0);
+    return cell_a != cell_b ? cell_a < cell_b : a < b;
+  };
+  for (std::size_t bucket = 0; bucket + 1U < begin_.size(); ++bucket) {
+    std::sort(order_.begin() + begin_[bucket], order_.begin() + begin_[bucket + 1U], before);
+  }
+}
+
+void NeighborGrid::sortByRows(const std::vector<Eigen::Vector3f>& points) {
+  std::vector<std::uint64_t> row_of(points.size());
+  std::vector<int> cell_x(points.size());
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    row_of[i] = rowOf(points[i]);
+    cell_x[i] = geometry_.cellOf(points[i].x(), 0);
+  }
+  std::iota(order_.begin(), order_.end(), 0U);
+  std::sort(order_.begin(), order_.end(), [&](std::uint32_t a, std::uint32_t b) {
+    if (row_of[a] != row_of[b]) return row_of[a] < row_of[b];
+    return cell_x[a] != cell_x[b] ? cell_x[a] < cell_x[b] : a < b;
+  });
+  rows_.resize(points.size());
+  for (std::size_t k = 0; k < order_.size(); ++k) rows_[k] = row_of[order_[k]];
 }
 
 }  // namespace field_phenotyping

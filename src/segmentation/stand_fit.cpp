@@ -49,12 +49,28 @@ void carryOn(const GrowthScene& scene, const SamplingProfile& sampling, float ma
   constexpr float kLeast = 0.05F;  // [m] that counts as going on
   constexpr int kMostSteps = 6;
   constexpr double kSparse = 0.35;  // of the best sampling: where an end could be overlooked
+  const auto samplingAtEnd = [&](const StemAxis& axis) {
+    return sampling.at(static_cast<double>(axis.length()));
+  };
+  // Straight on, which takes no fit, most stems show where they end. Where hardly one of a stand
+  // does so beyond what is seen well, only those few are followed.
+  constexpr std::size_t kFew = 10U;  // one in so many
+  std::vector<std::uint8_t> is_far(stems.size(), 0U);
   parallelFor(stems.size(), [&](std::size_t s) {
+    const Midline& midline = stems[s].midline;
+    if (samplingAtEnd(midline.axis) >= 1.0) return;
+    const Midline straight = cutAtTop(scene, sampling, midline, kMostSteps * kStep, max_radius);
+    is_far[s] = samplingAtEnd(straight.axis) < kSparse ? 1U : 0U;
+  });
+  const auto far = static_cast<std::size_t>(std::count(is_far.begin(), is_far.end(), 1U));
+  const bool is_tall = kFew * far > stems.size();
+  parallelFor(stems.size(), [&](std::size_t s) {
+    if (!is_tall && is_far[s] == 0U) return;
     Midline midline = stems[s].midline;
     bool goes_on = false;
     for (int step = 0; step < kMostSteps; ++step) {
       const float end = midline.axis.length();
-      if (sampling.at(static_cast<double>(end)) >= 1.0) break;
+      if (samplingAtEnd(midline.axis) >= 1.0) break;
       Midline longer = midline;
       longer.axis = midline.axis.extendedBy(kStep);
       const std::vector<std::uint32_t> around =
@@ -69,8 +85,8 @@ void carryOn(const GrowthScene& scene, const SamplingProfile& sampling, float ma
     }
     if (!goes_on) return;
     midline = cutAtTop(scene, sampling, std::move(midline), kStep, max_radius);
-    const float end = midline.axis.length();
-    if (end > stems[s].midline.axis.length() && sampling.at(static_cast<double>(end)) < kSparse) {
+    if (midline.axis.length() > stems[s].midline.axis.length() &&
+        samplingAtEnd(midline.axis) < kSparse) {
       stems[s].midline = std::move(midline);
     }
   });

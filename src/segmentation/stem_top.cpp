@@ -107,52 +107,76 @@ double claspBelow(double occupied, const StemAxis& axis) {
                   0.5 * occupied);
 }
 
-/// Where the axis stops being one: the cut that best parts bands with a stem from bands without.
-/// @param leaf_density of leaves that may stand in the core, to those beside it
-/// @param log_prior of an axis that stops there
-template <typename LogPrior>
-double occupiedLength(const std::vector<Place>& places, double length,
-                      const SamplingProfile& sampling, double leaf_density,
-                      const LogPrior& log_prior) {
-  // Bands so high that a stem shows some points in each.
-  constexpr double kShortest = 0.05;  // [m], or a share of a short axis
-  constexpr double kShare = 0.1;
-  constexpr double kHighest = 0.20;
-  constexpr double kPoints = 5.0;
-  const double seen =
-      medianSeen(countBands(places, 0.0, length, kHighest).core, kHighest, sampling);
-  if (!(seen > 0.0)) return length;
-  const double band_height =
-      std::clamp(kHighest * kPoints / seen, std::min(kShortest, kShare * length), kHighest);
-  const double stem_mean = std::max(
-      medianSeen(countBands(places, 0.0, length, band_height).core, band_height, sampling), 1.0);
-  constexpr double kOtherShare = 0.12;
-  const bool is_dense = seen >= kPoints;  // fewer points say nothing of how leaves stand
-  constexpr double kStemShape = 0.8;
-  constexpr double kOtherShape = 0.5;
+/// The cuts that may part bands with a stem from bands without, each with what speaks for it.
+class StemCuts {
+ public:
+  /// @param leaf_density of leaves that may stand in the core, to those beside it
+  StemCuts(const std::vector<Place>& places, double length, const SamplingProfile& sampling,
+           double leaf_density)
+      : length_(length) {
+    // Bands so high that a stem shows some points in each.
+    constexpr double kShortest = 0.05;  // [m], or a share of a short axis
+    constexpr double kShare = 0.1;
+    constexpr double kHighest = 0.20;
+    constexpr double kPoints = 5.0;
+    const double seen =
+        medianSeen(countBands(places, 0.0, length, kHighest).core, kHighest, sampling);
+    if (!(seen > 0.0)) return;
+    const double band_height =
+        std::clamp(kHighest * kPoints / seen, std::min(kShortest, kShare * length), kHighest);
+    constexpr double kOtherShare = 0.12;
+    const bool is_dense = seen >= kPoints;  // fewer points say nothing of how leaves stand
+    constexpr double kStemShape = 0.8;
+    constexpr double kOtherShape = 0.5;
 
-  LogOdds log_odds(kStemShape, kOtherShape);
+    LogOdds log_odds(kStemShape, kOtherShape);
 
-  double best = log_prior(0.0);
-  double end = 0.0;
-  constexpr int kPhases = 4;  // cuts closer than a band apart
-  for (int phase = 0; phase < kPhases; ++phase) {
-    const double start = band_height * phase / kPhases;
-    const BandCounts counts = countBands(places, start, length, band_height);
-    double sum = 0.0;
-    for (std::size_t k = 0; k < counts.core.size(); ++k) {
-      const double leaves = is_dense ? leaf_density * counts.by_leaves[k] : 0.0;
-      const double cut = start + static_cast<double>(k + 1U) * band_height;
-      const double stem = stem_mean * sampling.at(cut - 0.5 * band_height);
-      sum += log_odds(counts.core[k], stem + leaves, kOtherShare * stem + leaves);
-      const double score = sum + log_prior(cut);
-      if (score <= best) continue;
-      best = score;
-      end = cut;
+    double stem_mean = 1.0;
+    constexpr int kPhases = 4;  // cuts closer than a band apart
+    for (int phase = 0; phase < kPhases; ++phase) {
+      const double start = band_height * phase / kPhases;
+      const BandCounts counts = countBands(places, start, length, band_height);
+      if (phase == 0) {
+        stem_mean = std::max(medianSeen(counts.core, band_height, sampling), stem_mean);
+      }
+      double sum = 0.0;
+      for (std::size_t k = 0; k < counts.core.size(); ++k) {
+        const double leaves = is_dense ? leaf_density * counts.by_leaves[k] : 0.0;
+        const double cut = start + static_cast<double>(k + 1U) * band_height;
+        const double stem = stem_mean * sampling.at(cut - 0.5 * band_height);
+        sum += log_odds(counts.core[k], stem + leaves, kOtherShare * stem + leaves);
+        cuts_.push_back({cut, sum});
+      }
     }
   }
-  return end > 0.0 ? std::min(end, length) : length;
-}
+
+  /// Where the axis stops being one: the best cut; its length where nothing shows an end.
+  /// @param log_prior of an axis that stops there
+  template <typename LogPrior>
+  double best(const LogPrior& log_prior) const {
+    double most = log_prior(0.0);
+    double end = 0.0;
+    for (const Cut& cut : cuts_) {
+      const double score = cut.log_odds + log_prior(cut.at);
+      if (score <= most) continue;
+      most = score;
+      end = cut.at;
+    }
+    return end > 0.0 ? std::min(end, length_) : length_;
+  }
+  double best() const {
+    return best([](double) { return 0.0; });
+  }
+
+ private:
+  struct Cut {
+    double at;        // [m]
+    double log_odds;  // of a stem below it and none above
+  };
+
+  double length_;
+  std::vector<Cut> cuts_;
+};
 
 /// Whether leaves stand all round where the core ends: the whorl opens there. A tassel's tip stands
 /// alone.
@@ -322,20 +346,16 @@ double tasselBase(const std::vector<Place>& places, double occupied,
 /// As findStemTop().
 double topAmong(const std::vector<Place>& places, const StemAxis& axis,
                 const SamplingProfile& sampling, const StandLength& stand, double leaf_density) {
-  const auto length = static_cast<double>(axis.length());
-  const double occupied =
-      occupiedLength(places, length, sampling, leaf_density, [](double) { return 0.0; });
+  const StemCuts cuts(places, static_cast<double>(axis.length()), sampling, leaf_density);
+  const double occupied = cuts.best();
   if (opensAsWhorl(places, occupied)) {
-    const double likely = occupiedLength(places, length, sampling, leaf_density, [&](double end) {
-      return stand.logPrior(end - claspBelow(end, axis));
-    });
+    const double likely =
+        cuts.best([&](double end) { return stand.logPrior(end - claspBelow(end, axis)); });
     return stand.likelyLength(likely - claspBelow(likely, axis));
   }
   // Where nothing can be seen of a stem's end, it is as high as others are.
-  const double reaches = stand.known()
-                             ? occupiedLength(places, length, sampling, leaf_density,
-                                              [&](double end) { return stand.logPriorWithin(end); })
-                             : occupied;
+  const double reaches =
+      stand.known() ? cuts.best([&](double end) { return stand.logPriorWithin(end); }) : occupied;
   return tasselBase(places, reaches, sampling, stand);
 }
 
@@ -351,9 +371,9 @@ float findStemTop(const std::vector<Eigen::Vector3f>& points,
 float findOccupiedEnd(const std::vector<Eigen::Vector3f>& points,
                       const std::vector<std::uint32_t>& members, const Midline& midline,
                       const SamplingProfile& sampling) {
-  return static_cast<float>(occupiedLength(placesOf(points, members, midline),
-                                           static_cast<double>(midline.axis.length()), sampling,
-                                           1.0, [](double) { return 0.0; }));
+  return static_cast<float>(StemCuts(placesOf(points, members, midline),
+                                     static_cast<double>(midline.axis.length()), sampling, 1.0)
+                                .best());
 }
 
 }  // namespace field_phenotyping

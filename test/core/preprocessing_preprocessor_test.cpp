@@ -6,8 +6,11 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
+#include <random>
 #include <set>
 
+#include "field_phenotyping/common/spatial_order.hpp"
 #include "field_phenotyping/preprocessing/preprocessor.hpp"
 #include "test_scene.hpp"
 
@@ -418,6 +421,47 @@ TEST(Preprocessor, DraftsAreThinnerThanWhatFollows) {
   undone.points.insert(undone.points.end(), all.feet.points.begin(), all.feet.points.end());
   EXPECT_EQ(undone.points, before.points);
   EXPECT_EQ(draft.ground_points, all.ground_points) << "soil is found among all points";
+}
+
+TEST(Preprocessor, LargeCloudsLieInSpatialOrder) {
+  // Soil, and above it points that are known again by their colours.
+  BlockPoints points;
+  Scene scene(testing::levelSoil(), 2U);
+  scene.addSoil({0.0, 0.0}, {4.0, 4.0}, 1500.0);
+  points.cloud = scene.cloud;
+  std::mt19937 random(3U);
+  std::uniform_real_distribution<float> across(0.0F, 4.0F);
+  std::uniform_real_distribution<float> above(0.5F, 1.5F);
+  constexpr std::size_t kPlants = 100000U;
+  for (std::size_t i = 0; i < kPlants; ++i) {
+    points.cloud.points.emplace_back(across(random), across(random), above(random));
+  }
+  for (std::uint32_t i = 0; i < points.cloud.size(); ++i) points.cloud.colors.push_back(i);
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.max_density = 1e9;
+  const Block block = finishBlock(points, parameters);
+  ASSERT_GT(block.cloud.size(), kPlants / 2U);
+  ASSERT_EQ(block.cloud.colors.size(), block.cloud.size());
+  for (std::size_t i = 0; i < block.cloud.size(); ++i) {
+    ASSERT_EQ(block.cloud.points[i], points.cloud.points[block.cloud.colors[i]]);
+  }
+  std::vector<std::uint32_t> as_they_are(block.cloud.size());
+  std::iota(as_they_are.begin(), as_they_are.end(), 0U);
+  EXPECT_EQ(spatialOrder(block.cloud.points), as_they_are);
+
+  // What stands for a point of a thinned cloud lies in its voxel.
+  parameters.max_density = 5000.0;
+  DensePoints before;
+  const Block thinned = finishBlock(points, parameters, {}, &before);
+  ASSERT_FALSE(before.empty());
+  ASSERT_LT(thinned.cloud.size(), block.cloud.size());
+  ASSERT_GT(thinned.cloud.size(), 65536U) << "few are left in their order";
+  constexpr float kVoxel = 0.03F;  // [m] the widest
+  for (std::size_t i = 0; i < before.points.size(); ++i) {
+    if (before.thinned[i] >= thinned.cloud.size()) continue;
+    const Eigen::Vector3f& stands_for_it = thinned.cloud.points[before.thinned[i]];
+    ASSERT_LT((before.points[i] - stands_for_it).cwiseAbs().maxCoeff(), kVoxel);
+  }
 }
 
 TEST(Preprocessor, FinalWhenNoScanReachesItAnyMore) {

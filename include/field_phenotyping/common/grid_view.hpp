@@ -70,7 +70,7 @@ struct GridView {
   const float* y = nullptr;
   const float* z = nullptr;
   const std::uint32_t* order = nullptr;  ///< source index of each sorted point
-  const int* cell_x = nullptr;           ///< of each sorted point
+  const int* cell_x = nullptr;           ///< of each sorted point; where buckets are not cells
   const std::uint32_t* begin = nullptr;  ///< table of buckets, with its end; where there is one
   const std::uint64_t* row = nullptr;    ///< of each sorted point; where there is no table
 

@@ -128,8 +128,14 @@ class NeighborGrid {
   static Place placeOf(const Eigen::Vector3f& point) { return {point.x(), point.y(), point.z()}; }
 
  private:
+  // Put the source indices in order: by row, then by cell; ties by source index, so that the order
+  // depends on the points alone.
+  void sortByBuckets(const std::vector<Eigen::Vector3f>& points);
+  void sortByRows(const std::vector<Eigen::Vector3f>& points);
+  std::uint64_t rowOf(const Eigen::Vector3f& point) const;
+
   GridGeometry geometry_;
-  std::vector<int> cell_x_;           // of each sorted point
+  std::vector<int> cell_x_;           // of each sorted point; empty where buckets are cells
   std::vector<std::uint32_t> order_;  // source index of each sorted point
   // The sorted points, padded so that the last lanes can be loaded.
   std::vector<float> x_;

@@ -58,7 +58,7 @@ struct BlockHeader {
 struct Block {
   BlockHeader header;                ///< of joined tiles: of the first, as old as the youngest
   std::vector<BlockHeader> joined;   ///< what each of joined tiles says of itself; empty: one tile
-  PointCloud cloud;                  ///< above-ground points only
+  PointCloud cloud;                  ///< above-ground points only; large ones in spatialOrder()
   GroundModel ground;                ///< in the local frame of `cloud`
   std::uint32_t ground_points = 0U;  ///< soil points that were taken out
   PointCloud feet;                   ///< those beside what stands there: its foot may be among them

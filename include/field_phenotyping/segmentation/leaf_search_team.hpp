@@ -483,6 +483,7 @@ class LeafSearch {
       changed.slope = slope < leaf::kFlattest   ? leaf::kFlattest
                       : slope > leaf::kSteepest ? leaf::kSteepest
                                                 : slope;
+      if (way >= 2 && !(changed.slope < base.slope || base.slope < changed.slope)) continue;
       changed.arc_length += raised + pivot / base.slope - pivot / changed.slope;
       changed.azimuth = leaf::turned(base.azimuth + turned_by);
       changed.evidence = evidenceOf(changed);
