@@ -46,6 +46,9 @@ int main(int argc, char** argv) {
       return 1;
     }
   }
+  // What a burst of blocks has left goes back to the system: by itself the allocator keeps it.
+  const ros::WallTimer trim = pnh.createWallTimer(
+      ros::WallDuration(10.0), [](const ros::WallTimerEvent&) { malloc_trim(0U); });
   ros::spin();
   return 0;
 }
