@@ -312,15 +312,20 @@ std::vector<PlantReport> PhenotypeJournal::readAbout(const BlockIndex& block,
 }
 
 std::vector<KnownPlant> PhenotypeJournal::knownPlants() const {
-  // SQLite takes the other columns from the row that has the maximum.
+  // In a pass the newest report of a block holds. SQLite takes the columns that are not counted
+  // from the row that has the maximum.
   Statement rows(*this,
-                 "SELECT plant_id, x, y, stamp_ns, MAX(number) "
-                 "FROM plant JOIN report ON plant.report = number GROUP BY plant_id");
+                 "WITH holding AS (SELECT MAX(number) AS number FROM report "
+                 "GROUP BY block_x, block_y, began_ns) "
+                 "SELECT plant_id, x, y, stamp_ns, COUNT(holding.number), MAX(report.number) "
+                 "FROM plant JOIN report ON plant.report = report.number "
+                 "LEFT JOIN holding ON holding.number = report.number GROUP BY plant_id");
   std::vector<KnownPlant> known;
   while (rows.step()) {
     known.push_back({static_cast<std::int32_t>(rows.integer(0)),
                      {rows.real(1), rows.real(2)},
-                     static_cast<std::uint64_t>(rows.integer(3))});
+                     static_cast<std::uint64_t>(rows.integer(3)),
+                     rows.integer(4) > 0});
   }
   return known;
 }

@@ -43,8 +43,8 @@ CompletedBlock completeBlock(std::shared_ptr<const SegmentedBlock> segmented,
     std::vector<StemToComplete> to_complete;
     for (std::size_t k = 0; k < owned.size(); ++k) {
       const Plant& plant = plants[owned[k]];
-      to_complete.push_back(
-          {plant.stem, priors[k] ? &*priors[k] : nullptr, stateOf(previous, plant.id)});
+      to_complete.push_back({plant.stem, priors[k] ? &*priors[k] : nullptr,
+                             stateOf(previous, plant.id), segmented->header.final});
     }
     std::vector<CompletedStem> completed_stems =
         completeStems(segmented->cloud, to_complete, segmented->ground, parameters, device);

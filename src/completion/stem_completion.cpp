@@ -236,7 +236,7 @@ class StemInWork {
   /// @param cloud, ground, and what `to_complete` points to, must stay as long as this
   StemInWork(const PointCloud& cloud, const StemToComplete& to_complete, const GroundModel& ground,
              const CompletionParameters& parameters)
-      : cloud_(cloud), stem_(to_complete.stem) {
+      : cloud_(cloud), stem_(to_complete.stem), is_last_(to_complete.is_last) {
     completed_.solution.smoothed.assign(cloud.points.begin() + stem_.begin,
                                         cloud.points.begin() + stem_.end);
     const auto min_points = static_cast<std::size_t>(parameters.min_points);
@@ -282,7 +282,7 @@ class StemInWork {
       if (region.no_surface) completed_.solution.flags |= kCompletionNoSurface;
     }
     smoothMeasured(cloud_, stem_, model_->prior, *measured_, *state_, completed_.solution.smoothed);
-    completed_.solution.state = state_;
+    if (!is_last_) completed_.solution.state = state_;
     return std::move(completed_);
   }
 
@@ -356,6 +356,7 @@ class StemInWork {
 
   const PointCloud& cloud_;
   IndexSpan stem_;
+  bool is_last_;
   std::optional<MeasuredSurface> measured_;
   std::optional<StemModel> model_;
   std::shared_ptr<StemState> state_;

@@ -62,10 +62,7 @@ struct PlacedPoints {
 PointCloud select(const PointCloud& cloud, const std::vector<std::uint8_t>& flags,
                   std::uint8_t wanted) {
   PointCloud kept = cloud.emptyAlike();
-  const auto count = static_cast<std::size_t>(std::count(flags.begin(), flags.end(), wanted));
-  kept.points.reserve(count);
-  if (cloud.hasColors()) kept.colors.reserve(count);
-  if (cloud.hasScanOrigins()) kept.scan_origin.reserve(count);
+  kept.reserveLike(cloud, static_cast<std::size_t>(std::count(flags.begin(), flags.end(), wanted)));
   for (std::size_t i = 0; i < flags.size(); ++i) {
     if (flags[i] == wanted) kept.take(cloud, i);
   }
@@ -79,9 +76,7 @@ void putInOrder(PointCloud& cloud, DensePoints& dense) {
   if (cloud.size() <= kFitsCache) return;
   const std::vector<std::uint32_t> order = spatialOrder(cloud.points);
   PointCloud ordered = cloud.emptyAlike();
-  ordered.points.reserve(order.size());
-  if (cloud.hasColors()) ordered.colors.reserve(order.size());
-  if (cloud.hasScanOrigins()) ordered.scan_origin.reserve(order.size());
+  ordered.reserveLike(cloud, order.size());
   for (const std::uint32_t i : order) ordered.take(cloud, i);
   cloud = std::move(ordered);
   if (dense.empty()) return;
@@ -568,6 +563,7 @@ void Preprocessor::markHandedOn(const BlockHeader& block) {
   handed.dirty = false;
   handed.draft = block.draft;
   handed.final = block.final;
+  if (block.final && tile != nullptr) impl_->map.tile(block.index).rest();
 
   for (auto state = impl_->states.begin(); state != impl_->states.end();) {
     const bool forget = state->second.evict ? state->second.final && state->first == block.index

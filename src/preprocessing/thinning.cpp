@@ -61,7 +61,7 @@ std::vector<Eigen::Vector3f> pointsAt(const std::vector<Eigen::Vector3f>& points
 /// The first point of each voxel.
 PointCloud firstOf(const PointCloud& cloud, const Voxels& voxels) {
   PointCloud out = cloud.emptyAlike();
-  out.points.reserve(voxels.first.size());
+  out.reserveLike(cloud, voxels.first.size());
   for (const std::uint32_t i : voxels.first) out.take(cloud, i);
   return out;
 }

@@ -19,53 +19,16 @@ Place placeOf(const Eigen::Vector3f& p) {
   return {p.x(), p.y(), p.z()};
 }
 
-/// The numbers of voxels by key, while a tile is filled: quicker than a KeyMap, for a batch of
-/// slots is on its way from memory at once, and smaller, for keys are where the tile has them
-/// anyway.
-class VoxelSlots {
- public:
-  static constexpr std::size_t kBatch = 64U;
-
-  /// @param most keys that there can be
-  explicit VoxelSlots(std::size_t most) {
-    unsigned bits = 6U;
-    while (2U * (std::size_t{1} << bits) < 3U * most) ++bits;  // at most two thirds full
-    slots_.assign(std::size_t{1} << bits, {kFree, 0U});
-    shift_ = 64U - bits;
+/// Appends one with a quarter of room at most, where vectors by themselves leave up to a half: most
+/// of the memory of a drive is that of voxels.
+template <class Value>
+void appendTight(std::vector<Value>& values, const Value& value) {
+  constexpr std::size_t kLeast = 64U;
+  if (values.size() == values.capacity()) {
+    values.reserve(values.size() + values.size() / 4U + kLeast);
   }
-
-  static std::uint64_t hashOf(VoxelKey key) {
-    constexpr std::uint64_t kGolden = 0x9E3779B97F4A7C15U;  // scatters neighbouring keys
-    return key * kGolden;
-  }
-
-  /// Has the slot of a key brought near, for find() a little later.
-  void fetch(std::uint64_t hash) const { __builtin_prefetch(&slots_[hash >> shift_], 1); }
-
-  /// Number of the key's voxel: that of the next one where it has none yet.
-  /// @param keys of the voxels so far; the caller adds that of a new one
-  std::uint32_t find(VoxelKey key, std::uint64_t hash, const std::vector<VoxelKey>& keys) {
-    const std::uint32_t tag = tagOf(hash);
-    std::size_t at = hash >> shift_;
-    while (slots_[at].voxel != kFree && (slots_[at].tag != tag || keys[slots_[at].voxel] != key)) {
-      at = (at + 1U) & (slots_.size() - 1U);
-    }
-    if (slots_[at].voxel == kFree) slots_[at] = {static_cast<std::uint32_t>(keys.size()), tag};
-    return slots_[at].voxel;
-  }
-
- private:
-  static constexpr std::uint32_t kFree = ~std::uint32_t{0};
-  struct Slot {
-    std::uint32_t voxel;
-    std::uint32_t tag;  // tells nearly all other keys without a look at theirs
-  };
-
-  static std::uint32_t tagOf(std::uint64_t hash) { return static_cast<std::uint32_t>(hash >> 16U); }
-
-  std::vector<Slot> slots_;
-  unsigned shift_ = 64U;
-};
+  values.push_back(value);
+}
 
 }  // namespace
 
@@ -82,14 +45,18 @@ VoxelKey voxelKey(const Eigen::Vector3f& p, float voxel_size) {
 
 bool VoxelTile::insert(const Eigen::Vector3f& p, float voxel_size, bool with_color,
                        std::uint32_t color) {
-  indexVoxels();
-  const auto [entry, is_new] =
-      index_.tryEmplace(voxelKey(p, voxel_size), static_cast<std::uint32_t>(voxels_.size()));
-  if (is_new) voxels_.emplace_back();
-  voxels_[*entry].add(placeOf(p));
+  const VoxelKey key = voxelKey(p, voxel_size);
+  slots_.makeRoom(keys_, 1U);
+  const std::uint32_t voxel = slots_.find(key, VoxelSlots::hashOf(key), keys_);
+  const bool is_new = voxel == voxels_.size();
+  if (is_new) {
+    appendTight(keys_, key);
+    appendTight(voxels_, VoxelMean());
+  }
+  voxels_[voxel].add(placeOf(p));
   if (with_color) {
     colors_.resize(voxels_.size());
-    auto& sums = colors_[*entry];
+    auto& sums = colors_[voxel];
     for (std::size_t channel = 0; channel < 3U; ++channel) {
       sums[channel] += color >> (16U - 8U * channel) & 0xFFU;
     }
@@ -105,7 +72,7 @@ void VoxelTile::insertAll(const std::vector<Eigen::Vector3f>& points, float voxe
       const GpuVoxels found =
           voxelsOnGpu(stream, xyzOf(points), static_cast<std::uint32_t>(points.size()), voxel_size);
       voxels_.assign(found.voxels, found.voxels + found.count);
-      not_indexed_.assign(found.keys, found.keys + found.count);
+      keys_.assign(found.keys, found.keys + found.count);
     });
     if (done) return;
   }
@@ -118,12 +85,14 @@ void VoxelTile::insertAll(const std::vector<Eigen::Vector3f>& points, float voxe
 
 void VoxelTile::fill(const std::vector<Eigen::Vector3f>& points, float voxel_size) {
   voxels_.reserve(points.size());
-  not_indexed_.reserve(points.size());
-  VoxelSlots slots(points.size());
+  keys_.reserve(points.size());
+  VoxelSlots slots;  // not kept: hardly any point follows
+  slots.makeRoom(keys_, points.size());
   const float* xyz = xyzOf(points);
-  std::array<std::int32_t, 3U * VoxelSlots::kBatch> cells;
-  std::array<VoxelKey, VoxelSlots::kBatch> keys;
-  std::array<std::uint64_t, VoxelSlots::kBatch> hashes;
+  constexpr std::size_t kBatch = 64U;  // of slots that are on their way from memory at once
+  std::array<std::int32_t, 3U * kBatch> cells;
+  std::array<VoxelKey, kBatch> keys;
+  std::array<std::uint64_t, kBatch> hashes;
   for (std::size_t begin = 0; begin < points.size(); begin += keys.size()) {
     const std::size_t count = std::min(keys.size(), points.size() - begin);
     for (std::size_t c = 0; c < 3U * count; ++c) {
@@ -135,9 +104,9 @@ void VoxelTile::fill(const std::vector<Eigen::Vector3f>& points, float voxel_siz
       slots.fetch(hashes[k]);
     }
     for (std::size_t k = 0; k < count; ++k) {
-      const std::uint32_t voxel = slots.find(keys[k], hashes[k], not_indexed_);
+      const std::uint32_t voxel = slots.find(keys[k], hashes[k], keys_);
       if (voxel == voxels_.size()) {
-        not_indexed_.push_back(keys[k]);
+        keys_.push_back(keys[k]);
         voxels_.push_back(VoxelMean::of(placeOf(points[begin + k])));
       } else {
         voxels_[voxel].add(placeOf(points[begin + k]));
@@ -146,9 +115,13 @@ void VoxelTile::fill(const std::vector<Eigen::Vector3f>& points, float voxel_siz
   }
 }
 
-void VoxelTile::indexVoxels() {
-  for (std::uint32_t i = 0; i < not_indexed_.size(); ++i) index_.tryEmplace(not_indexed_[i], i);
-  not_indexed_ = {};
+void VoxelTile::rest() {
+  slots_ = {};
+  keys_.shrink_to_fit();
+  voxels_.shrink_to_fit();
+  colors_.shrink_to_fit();
+  origins_.shrink_to_fit();
+  origin_.shrink_to_fit();
 }
 
 void VoxelTile::noteOrigin(const Eigen::Vector3f& sensor) {
@@ -156,7 +129,7 @@ void VoxelTile::noteOrigin(const Eigen::Vector3f& sensor) {
     if (origins_.size() >= kNoScanOrigin) return;
     origins_.push_back(sensor);
   }
-  origin_.resize(voxels_.size(), kNoScanOrigin);
+  while (origin_.size() < voxels_.size()) appendTight(origin_, kNoScanOrigin);
   origin_.back() = static_cast<std::uint16_t>(origins_.size() - 1U);
 }
 
@@ -207,12 +180,14 @@ PointCloud VoxelMap::extract(const std::vector<BlockIndex>& wanted, double margi
   }
   cloud.origin = 0.5 * (originOf(low) + originOf(high));
   const auto reach = static_cast<float>(0.5 * tile_size_ + margin);
-  bool any_color = false;
+  const bool any_color = std::any_of(near.begin(), near.end(), [&](const auto& index) {
+    const VoxelTile* tile = find({index.second, index.first});
+    return tile != nullptr && tile->hasColors();
+  });
   bool any_origin = false;
   for (const auto& [y, x] : near) {
     const VoxelTile* tile = find({x, y});
     if (tile == nullptr) continue;
-    any_color = any_color || tile->hasColors();
     any_origin = any_origin || !tile->origins().empty();
     std::vector<Eigen::Vector2f> centers;  // of the wanted tiles that may reach its points
     for (const BlockIndex& index : wanted) {
@@ -228,7 +203,7 @@ PointCloud VoxelMap::extract(const std::vector<BlockIndex>& wanted, double margi
       });
       if (!reached) continue;
       cloud.points.push_back(p);
-      cloud.colors.push_back(tile->color(i));
+      if (any_color) cloud.colors.push_back(tile->color(i));
       cloud.scan_origin.push_back(kNoScanOrigin);
       const std::uint16_t origin = tile->origin(i);
       if (origin == kNoScanOrigin) continue;
@@ -240,7 +215,6 @@ PointCloud VoxelMap::extract(const std::vector<BlockIndex>& wanted, double margi
       cloud.scan_origin.back() = place;
     }
   }
-  if (!any_color) cloud.colors.clear();
   if (!any_origin) cloud.scan_origin.clear();
   return cloud;
 }

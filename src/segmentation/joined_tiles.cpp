@@ -13,9 +13,16 @@ SegmentedBlock tileOf(const SegmentedBlock& whole, const BlockHeader& header) {
   tile.header = header;
   tile.ground = whole.ground;
   tile.cloud = whole.cloud.emptyAlike();
-  const auto take = [&](std::uint32_t i) {
+  const auto isNear = [&](std::size_t i) {
     const Eigen::Vector3d at = whole.cloud.mapPoint(i);
-    if (!header.holds(at.x(), at.y(), header.margin)) return;
+    return header.holds(at.x(), at.y(), header.margin);
+  };
+  std::size_t count = 0U;
+  for (std::size_t i = 0; i < whole.cloud.size(); ++i) count += isNear(i) ? 1U : 0U;
+  tile.cloud.reserveLike(whole.cloud, count);
+  tile.source_index.reserve(count);
+  const auto take = [&](std::uint32_t i) {
+    if (!isNear(i)) return;
     tile.cloud.take(whole.cloud, i);
     tile.source_index.push_back(whole.source_index[i]);
   };

@@ -70,8 +70,16 @@ void PlantRegistry::takeOut(const Known& known) {
 void PlantRegistry::restore(const std::vector<KnownPlant>& plants) {
   const std::lock_guard<std::mutex> lock(mutex_);
   for (const KnownPlant& plant : plants) {
-    file(plant.id, plant.base, plant.stamp_ns);
     next_id_ = std::max(next_id_, plant.id + 1);
+    if (plant.reported) file(plant.id, plant.base, plant.stamp_ns);
+  }
+  for (const KnownPlant& plant : plants) {
+    if (plant.reported) continue;
+    const std::vector<Known> near = findNear({plant.base}, match_radius_);
+    const bool is_anothers = std::any_of(near.begin(), near.end(), [&](const Known& known) {
+      return (known.base - plant.base).norm() < match_radius_;
+    });
+    if (!is_anothers) file(plant.id, plant.base, plant.stamp_ns);
   }
 }
 

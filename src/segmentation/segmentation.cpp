@@ -163,6 +163,7 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   }
   append(groups[none]);
 
+  out.cloud.reserveLike(block.cloud, out.source_index.size());
   for (const std::uint32_t source : out.source_index) {
     if (source < feet_begin) {
       out.cloud.take(block.cloud, source);

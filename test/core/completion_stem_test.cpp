@@ -670,6 +670,14 @@ TEST(CompletionStem, StemsTogetherAreThoseApart) {
         EXPECT_EQ(together[i].solution.regions_solved, apart[i].solution.regions_solved) << i;
       }
       EXPECT_GT(together[0].points.size(), 100U);
+      EXPECT_NE(together[0].solution.state, nullptr);
+      std::vector<StemToComplete> last = stems;
+      last[0].is_last = true;
+      const CompletedStem kept_nothing =
+          std::move(completeStems(cloud, last, block->ground, {}, {}).front());
+      EXPECT_EQ(kept_nothing.points, together[0].points);
+      EXPECT_EQ(kept_nothing.solution.smoothed, together[0].solution.smoothed);
+      EXPECT_EQ(kept_nothing.solution.state, nullptr);
       EXPECT_EQ(together[0].colors.size(), has_colors ? together[0].points.size() : 0U);
       EXPECT_EQ(together[0].solution.regions_solved == 0U, again);
       EXPECT_EQ(together[1].solution.flags, kCompletionTooFewPoints);

@@ -75,6 +75,24 @@ std::map<std::array<long, 3>, Mean> bruteForce(const std::vector<ColoredPoint>& 
   return means;
 }
 
+TEST(VoxelSlots, NumbersKeysAsTheyComeHoweverOftenItBeginsAnew) {
+  std::mt19937_64 random(5U);
+  for (const std::uint64_t alike : {1ULL, 1ULL << 42U}) {  // keys that differ low down, high up
+    std::map<std::uint64_t, std::uint32_t> expected;
+    std::vector<std::uint64_t> keys;
+    VoxelSlots slots;
+    for (int k = 0; k < 20000; ++k) {
+      const std::uint64_t key = alike * (random() % 7000U);
+      if (k % 5000 == 4999) slots = {};
+      slots.makeRoom(keys, 1U);
+      const std::uint32_t number = slots.find(key, VoxelSlots::hashOf(key), keys);
+      if (number == keys.size()) keys.push_back(key);
+      EXPECT_EQ(number, expected.try_emplace(key, expected.size()).first->second);
+    }
+    EXPECT_EQ(keys.size(), expected.size());
+  }
+}
+
 TEST(VoxelTile, FilledAtOnceIsAsFilledPointByPointAndGoesOnToBe) {
   constexpr float kEdge = 0.003F;
   for (const std::size_t count : {0U, 1U, 63U, 64U, 65U, 50000U}) {
@@ -96,6 +114,7 @@ TEST(VoxelTile, FilledAtOnceIsAsFilledPointByPointAndGoesOnToBe) {
           const Eigen::Vector3f b = one_by_one.centroid(i);
           ASSERT_EQ(std::memcmp(a.data(), b.data(), sizeof a), 0) << i;
         }
+        at_once.rest();
         for (std::size_t i = 0; i < points.size(); i += 7U) {
           const Eigen::Vector3f p = 1.01F * points[i];
           EXPECT_EQ(at_once.insert(p, kEdge, false, 0U), one_by_one.insert(p, kEdge, false, 0U));

@@ -615,6 +615,19 @@ TEST(PlantRegistry, GoesOnWithThePlantsOfAnEarlierRun) {
   EXPECT_EQ(block.plants[2].id, 17);
 }
 
+TEST(PlantRegistry, OfAnEarlierRunIdsOfOnePlantAreOne) {
+  PlantRegistry registry;
+  registry.restore({{9, {0.52, 0.5}, 7U, false}, {4, {0.5, 0.5}, 5U}, {6, {1.5, 0.5}, 5U, false}});
+  EXPECT_EQ(registry.size(), 2U) << "9 was taken back; 6 was only not seen any more";
+  SegmentedBlock block = blockWith({0, 0}, {{0.52, 0.5}, {1.5, 0.5}, {0.2, 0.2}});
+  block.header.began_ns = 8U;
+  block.header.stamp_ns = 9U;
+  registry.identify(block);
+  EXPECT_EQ(block.plants[0].id, 4);
+  EXPECT_EQ(block.plants[1].id, 6);
+  EXPECT_EQ(block.plants[2].id, 10) << "an id that was taken back is not given again";
+}
+
 TEST(PlantRegistry, BlocksFromManyThreads) {
   PlantRegistry registry;
   std::vector<std::thread> threads;

@@ -139,9 +139,55 @@ TEST_F(Journal, KnowsWhereEveryPlantWasLast) {
   EXPECT_EQ(known[0].id, 0);
   EXPECT_EQ(known[0].base.x(), 448262.125 + 0.03);
   EXPECT_EQ(known[0].stamp_ns, moved.source.stamp_ns);
+  EXPECT_TRUE(known[0].reported);
   EXPECT_EQ(known[2].id, 2) << "also where it was not found any more";
   EXPECT_EQ(known[2].base.y(), 5411932.5);
   EXPECT_EQ(known[2].stamp_ns, moved.source.stamp_ns - 7U);
+  EXPECT_FALSE(known[2].reported);
+
+  // Another block, and the same one in another pass, name it: both reports hold.
+  PlantReport again = report(1U, 3);
+  again.plants.erase(again.plants.begin(), again.plants.begin() + 2);
+  again.source.block = {77, 7};
+  journal.append(again);
+  EXPECT_TRUE(journal.knownPlants()[2].reported);
+  again.source.revision = 2U;
+  again.plants.clear();
+  journal.append(again);
+  EXPECT_FALSE(journal.knownPlants()[2].reported);
+  PlantReport later = report(1U, 3);
+  later.source.began_ns += 1'000'000'000'000U;
+  later.source.stamp_ns += 1'000'000'000'000U;
+  journal.append(later);
+  for (const KnownPlant& plant : journal.knownPlants()) EXPECT_TRUE(plant.reported) << plant.id;
+}
+
+TEST_F(Journal, AnIdThatWasTakenBackIsNotRestored) {
+  // The block names a plant anew, and hears later that it is one of an earlier pass.
+  PhenotypeJournal journal(path_, Access::kWrite);
+  PlantReport first = report(1U, 1);
+  journal.append(first);
+  PlantReport second = report(1U, 2);
+  second.source.began_ns += 1'000'000'000'000U;
+  second.source.stamp_ns += 1'000'000'000'000U;
+  second.plants.erase(second.plants.begin());
+  second.plants[0].base = first.plants[0].base + Eigen::Vector3d(0.04, 0.0, 0.0);
+  journal.append(second);
+  ++second.source.revision;
+  second.plants[0].id = first.plants[0].id;
+  journal.append(second);
+
+  PlantRegistry registry;
+  registry.restore(journal.knownPlants());
+  EXPECT_EQ(registry.size(), 1U);
+  SegmentedBlock block;
+  block.cloud.origin = second.plants[0].base;
+  block.header.index = {static_cast<std::int32_t>(std::floor(block.cloud.origin.x() / 4.0)),
+                        static_cast<std::int32_t>(std::floor(block.cloud.origin.y() / 4.0))};
+  block.header.began_ns = block.header.stamp_ns = second.source.stamp_ns + 1U;
+  block.plants.resize(1U);
+  registry.identify(block);
+  EXPECT_EQ(block.plants[0].id, first.plants[0].id);
 }
 
 TEST_F(Journal, WithoutAPathItIsATemporaryFile) {

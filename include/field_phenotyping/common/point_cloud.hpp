@@ -34,6 +34,14 @@ struct PointCloud {
     return alike;
   }
 
+  /// Makes room for so many points that are taken from `from`: as they are appended one by one up
+  /// to half of the room would stay empty.
+  void reserveLike(const PointCloud& from, std::size_t count) {
+    points.reserve(count);
+    if (from.hasColors()) colors.reserve(count);
+    if (from.hasScanOrigins()) scan_origin.reserve(count);
+  }
+
   /// Appends point `i` of a cloud in the same frame, with what that one knows of it.
   void take(const PointCloud& from, std::size_t i) {
     points.push_back(from.points[i]);

@@ -19,7 +19,7 @@ struct StemSolution {
   std::vector<Eigen::Vector3f> smoothed;
   std::uint32_t regions = 0U;              ///< that the stem was solved in
   std::uint32_t regions_solved = 0U;       ///< of them solved anew, not taken over
-  std::shared_ptr<const StemState> state;  ///< from which a newer revision goes on
+  std::shared_ptr<const StemState> state;  ///< from which a newer revision goes on; final: null
 };
 
 /// A segmented block together with the stem points that were filled in (paper 2.5).

@@ -46,6 +46,7 @@ struct StemToComplete {
   IndexSpan stem;
   const SurfacePrior* prior;  ///< null where the stem does not carry a surface
   const StemState* previous;  ///< as for completeStem()
+  bool is_last = false;       ///< no newer revision goes on from it: `solution.state` is null
 };
 
 /// On all cores, a stem at a time on each; or together where there is a GPU.

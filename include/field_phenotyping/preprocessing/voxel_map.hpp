@@ -7,9 +7,9 @@
 #include <vector>
 
 #include "field_phenotyping/common/compute_device.hpp"
-#include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/point_cloud.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
+#include "field_phenotyping/preprocessing/voxel_slots.hpp"
 #include "field_phenotyping/preprocessing/voxel_team.hpp"
 
 namespace field_phenotyping {
@@ -40,6 +40,10 @@ class VoxelTile {
   /// Notes where the sensor was when it saw the point that opened the newest voxel [m].
   void noteOrigin(const Eigen::Vector3f& sensor);
 
+  /// Gives back what memory only further points would need; they can be added all the same, the
+  /// first of them at the cost of all voxels.
+  void rest();
+
   /// Centroids in the order in which their voxels were opened.
   Eigen::Vector3f centroid(std::size_t i) const {
     const Place& mean = voxels_[i].mean;
@@ -58,12 +62,11 @@ class VoxelTile {
   bool hasColors() const { return !colors_.empty(); }
 
  private:
-  void indexVoxels();
   void fill(const std::vector<Eigen::Vector3f>& points, float voxel_size);
 
-  KeyMap<std::uint32_t> index_;  // of voxels_, by key
+  VoxelSlots slots_;            // of all voxels or, where no point is added, none
+  std::vector<VoxelKey> keys_;  // of voxels_
   std::vector<VoxelMean> voxels_;
-  std::vector<VoxelKey> not_indexed_;                 // of voxels_ that index_ lacks: all or none
   std::vector<std::array<std::uint64_t, 4>> colors_;  // sums of red, green, blue; how many
   std::vector<Eigen::Vector3f> origins_;
   std::vector<std::uint16_t> origin_;  // of the voxels, as far as any is known

@@ -18,6 +18,7 @@ struct KnownPlant {
   std::int32_t id = -1;
   Eigen::Vector2d base = Eigen::Vector2d::Zero();  ///< x, y in the map frame [m]
   std::uint64_t stamp_ns = 0U;  ///< newest scan that it was seen in [ns since the epoch]
+  bool reported = true;         ///< false: no report that holds names it any more
 };
 
 /// Gives each plant one id for as long as the map frame lasts: through every revision of its block,
@@ -70,7 +71,8 @@ class PlantRegistry {
   /// @param match_radius [m] two bases nearer than this are one plant
   explicit PlantRegistry(double match_radius = 0.06);
 
-  /// Plants of an earlier run. New ids begin above theirs.
+  /// Plants of an earlier run. New ids begin above theirs. Of those that are not reported any more
+  /// only such come back as stand where no other does: the others are that plant's wrong ids.
   void restore(const std::vector<KnownPlant>& plants);
 
   /// Names the owned plants of `block`, each with an id of its own; plants that another block has
