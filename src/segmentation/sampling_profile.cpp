@@ -29,7 +29,7 @@ SamplingProfile::SamplingProfile(const std::vector<float>& heights,
     points[band] += 1.0;
     neighbors[band] += static_cast<double>(shapes[i].neighbors) - 1.0;  // itself is one
   }
-  constexpr double kFewNeighbors = 8.0;
+  constexpr double kFewNeighbors = 7.0;
   std::size_t sparse = points.size();
   while (sparse > 0U && (points[sparse - 1U] < kLeastPoints ||
                          neighbors[sparse - 1U] < kFewNeighbors * points[sparse - 1U])) {
