@@ -12,9 +12,14 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr float kTube = 0.10F;    // [m] round a stem's line: a tassel's branches, and what it leans
-constexpr float kHighest = 1.5F;  // [m] above a stem's end
-constexpr float kMostGap = 0.60F;  // [m] along the line, without a point of the plant
+/// How far from what is known of a plant points may be its own [m].
+struct Reach {
+  float aside;  // of its stem's line
+  float gap;    // along the line, without a point of the plant
+};
+constexpr Reach kSeen = {0.06F, 0.25F};
+constexpr Reach kSparse = {0.10F, 0.60F};  // a tassel's branches, and what it leans
+constexpr float kHighest = 1.5F;           // [m] above a stem's end
 
 /// A stem's line above its end.
 struct Line {
@@ -39,9 +44,10 @@ struct Line {
 struct Candidate {
   Eigen::Vector3f place;
   std::int32_t* owner;
+  Reach reach;
   bool isolated = false;
-  std::int32_t nearest = -1;  // plant whose line is nearest, if it is within the tube
-  float aside = kTube;        // [m] of that line
+  std::int32_t nearest = -1;  // plant whose line is nearest, if it is within reach
+  float aside = 0.0F;         // [m] of that line
 };
 
 std::vector<Candidate> findCandidates(const Block& block, double sparse_from, PointOwners& owners,
@@ -52,14 +58,17 @@ std::vector<Candidate> findCandidates(const Block& block, double sparse_from, Po
   std::vector<Candidate> candidates;
   for (std::size_t i = 0; i < owners.plant.size(); ++i) {
     const Eigen::Vector3f& point = block.cloud.points[i];
-    if (owners.stem[i] < 0 && (owners.plant[i] < 0 || is_sparse(point))) {
-      candidates.push_back({point, &owners.plant[i]});
+    if (owners.stem[i] >= 0) continue;
+    if (is_sparse(point)) {
+      candidates.push_back({point, &owners.plant[i], kSparse});
+    } else if (owners.plant[i] < 0) {
+      candidates.push_back({point, &owners.plant[i], kSeen});
     }
   }
   for (std::size_t i = 0; i < isolated.plant.size(); ++i) {
     const Eigen::Vector3f& point = block.isolated.points[i];
     if (isolated.stem[i] < 0 && is_sparse(point)) {
-      candidates.push_back({point, &isolated.plant[i], true});
+      candidates.push_back({point, &isolated.plant[i], kSparse, true});
     }
   }
   return candidates;
@@ -68,16 +77,17 @@ std::vector<Candidate> findCandidates(const Block& block, double sparse_from, Po
 void findNearestLines(const std::vector<Line>& lines, std::vector<Candidate>& candidates) {
   std::vector<Eigen::Vector3f> places;
   for (const Candidate& candidate : candidates) places.push_back(candidate.place);
-  const NeighborGrid grid(places, kTube);
+  const NeighborGrid grid(places, kSparse.aside);
   for (std::size_t plant = 0; plant < lines.size(); ++plant) {
     const Line& line = lines[plant];
     if (!line.known) continue;
-    grid.forEachWithinOfLine(line.end, line.end + kHighest * line.direction, kTube,
+    grid.forEachWithinOfLine(line.end, line.end + kHighest * line.direction, kSparse.aside,
                              [&](std::uint32_t k) {
                                Candidate& candidate = candidates[k];
                                const float aside = line.aside(candidate.place);
                                if (line.along(candidate.place) < 0.0F) return;
-                               if (!(aside < candidate.aside)) return;
+                               if (!(aside < candidate.reach.aside)) return;
+                               if (candidate.nearest >= 0 && aside >= candidate.aside) return;
                                candidate.aside = aside;
                                candidate.nearest = static_cast<std::int32_t>(plant);
                              });
@@ -89,12 +99,12 @@ float dustWithinTubes(const std::vector<Line>& lines, const Eigen::AlignedBox2f&
   constexpr float kStep = 0.05F;  // [m]
   std::vector<Eigen::Vector3f> middles;
   for (const Line& line : lines) middles.emplace_back(line.end.x(), line.end.y(), 0.0F);
-  const NeighborGrid grid(middles, kTube);
+  const NeighborGrid grid(middles, kSparse.aside);
   float within = 0.0F;
   float beside = 0.0F;
   for (float x = stand.min().x(); x < stand.max().x(); x += kStep) {
     for (float y = stand.min().y(); y < stand.max().y(); y += kStep) {
-      (grid.hasWithin({x, y, 0.0F}, kTube, 1U) ? within : beside) += 1.0F;
+      (grid.hasWithin({x, y, 0.0F}, kSparse.aside, 1U) ? within : beside) += 1.0F;
     }
   }
   return within / std::max(beside, 1.0F);
@@ -171,7 +181,7 @@ void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, doub
   for (std::size_t plant = 0; plant < lines.size(); ++plant) {
     std::sort(crowns[plant].begin(), crowns[plant].end());
     for (const auto& [along, k] : crowns[plant]) {
-      if (along > reached[plant] + kMostGap) break;
+      if (along > reached[plant] + candidates[k].reach.gap) break;
       reached[plant] = std::max(reached[plant], along);
       *candidates[k].owner = static_cast<std::int32_t>(plant);
     }

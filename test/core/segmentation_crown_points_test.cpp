@@ -115,23 +115,31 @@ TEST(CrownPoints, DustIsNoPlants) {
 }
 
 TEST(CrownPoints, NotWhatStandsBesideTheLineOrBelowTheEnd) {
-  Crowns crowns;
-  const std::size_t beside = crowns.add(crowns.over(0, 0.2F, 0.12F));
-  const std::size_t below = crowns.add(crowns.over(0, -0.5F, 0.03F));
-  crowns.give();
-  EXPECT_EQ(crowns.ownerOf(beside), -1);
-  EXPECT_EQ(crowns.ownerOf(below), -1);
+  for (const bool sparse : {false, true}) {
+    Crowns crowns;
+    if (sparse) crowns.sparse_from = 0.0;
+    const std::size_t near = crowns.add(crowns.over(0, 0.2F, 0.08F));
+    const std::size_t beside = crowns.add(crowns.over(0, 0.2F, 0.12F));
+    const std::size_t below = crowns.add(crowns.over(0, -0.5F, 0.03F));
+    crowns.give();
+    EXPECT_EQ(crowns.ownerOf(near), sparse ? 0 : -1) << "farther off where little is seen";
+    EXPECT_EQ(crowns.ownerOf(beside), -1);
+    EXPECT_EQ(crowns.ownerOf(below), -1);
+  }
 }
 
 TEST(CrownPoints, NotWhatHangsHighAboveThePlant) {
-  Crowns crowns;
-  const std::size_t wire = crowns.add(crowns.over(0, 0.9F, 0.0F));
-  crowns.give();
-  EXPECT_EQ(crowns.ownerOf(wire), -1);
-  // Leaves that are known to be the plant's reach up to it.
-  crowns.add({0.15F, 0.1F, 2.5F}, 0);
-  crowns.give();
-  EXPECT_EQ(crowns.ownerOf(wire), 0);
+  for (const bool sparse : {false, true}) {
+    Crowns crowns;
+    if (sparse) crowns.sparse_from = 2.0;
+    const std::size_t wire = crowns.add(crowns.over(0, sparse ? 0.9F : 0.7F, 0.0F));
+    crowns.give();
+    EXPECT_EQ(crowns.ownerOf(wire), -1);
+    // Leaves that are known to be the plant's reach up to it.
+    crowns.add({0.15F, 0.1F, sparse ? 2.5F : 2.6F}, 0);
+    crowns.give();
+    EXPECT_EQ(crowns.ownerOf(wire), 0);
+  }
 }
 
 TEST(CrownPoints, NoPointsNoPlants) {
