@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <cmath>
 #include <cstdint>
 #include <map>
 #include <utility>
@@ -12,7 +13,8 @@
 namespace field_phenotyping {
 namespace {
 
-/// How far from what is known of a plant points may be its own [m].
+/// How far from what is known of a plant points may be its own [m]: farther in a stand of which
+/// hardly anything is seen from some height on.
 struct Reach {
   float aside;  // of its stem's line
   float gap;    // along the line, without a point of the plant
@@ -44,9 +46,8 @@ struct Line {
 struct Candidate {
   Eigen::Vector3f place;
   std::int32_t* owner;
-  Reach reach;
   bool isolated = false;
-  std::int32_t nearest = -1;  // plant whose line is nearest, if it is within reach
+  std::int32_t nearest = -1;  // plant whose line is nearest, if it is within the tube
   float aside = 0.0F;         // [m] of that line
 };
 
@@ -58,36 +59,35 @@ std::vector<Candidate> findCandidates(const Block& block, double sparse_from, Po
   std::vector<Candidate> candidates;
   for (std::size_t i = 0; i < owners.plant.size(); ++i) {
     const Eigen::Vector3f& point = block.cloud.points[i];
-    if (owners.stem[i] >= 0) continue;
-    if (is_sparse(point)) {
-      candidates.push_back({point, &owners.plant[i], kSparse});
-    } else if (owners.plant[i] < 0) {
-      candidates.push_back({point, &owners.plant[i], kSeen});
+    if (owners.stem[i] < 0 && (owners.plant[i] < 0 || is_sparse(point))) {
+      candidates.push_back({point, &owners.plant[i]});
     }
   }
   for (std::size_t i = 0; i < isolated.plant.size(); ++i) {
     const Eigen::Vector3f& point = block.isolated.points[i];
     if (isolated.stem[i] < 0 && is_sparse(point)) {
-      candidates.push_back({point, &isolated.plant[i], kSparse, true});
+      candidates.push_back({point, &isolated.plant[i], true});
     }
   }
   return candidates;
 }
 
-void findNearestLines(const std::vector<Line>& lines, std::vector<Candidate>& candidates) {
+/// @param tube [m] about a line
+void findNearestLines(const std::vector<Line>& lines, float tube,
+                      std::vector<Candidate>& candidates) {
   std::vector<Eigen::Vector3f> places;
   for (const Candidate& candidate : candidates) places.push_back(candidate.place);
-  const NeighborGrid grid(places, kSparse.aside);
+  const NeighborGrid grid(places, tube);
   for (std::size_t plant = 0; plant < lines.size(); ++plant) {
     const Line& line = lines[plant];
     if (!line.known) continue;
-    grid.forEachWithinOfLine(line.end, line.end + kHighest * line.direction, kSparse.aside,
+    grid.forEachWithinOfLine(line.end, line.end + kHighest * line.direction, tube,
                              [&](std::uint32_t k) {
                                Candidate& candidate = candidates[k];
                                const float aside = line.aside(candidate.place);
                                if (line.along(candidate.place) < 0.0F) return;
-                               if (!(aside < candidate.reach.aside)) return;
-                               if (candidate.nearest >= 0 && aside >= candidate.aside) return;
+                               const bool is_first = candidate.nearest < 0;
+                               if (!(aside < (is_first ? tube : candidate.aside))) return;
                                candidate.aside = aside;
                                candidate.nearest = static_cast<std::int32_t>(plant);
                              });
@@ -162,7 +162,8 @@ void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, doub
   if (candidates.empty() || axes.empty()) return;
   std::vector<Line> lines;
   for (const StemAxis& axis : axes) lines.emplace_back(axis);
-  findNearestLines(lines, candidates);
+  const Reach reach = std::isfinite(sparse_from) ? kSparse : kSeen;
+  findNearestLines(lines, reach.aside, candidates);
   dropDust(block, lines, sparse_from, candidates);
 
   std::vector<float> reached(lines.size(), 0.0F);  // along each line, by points of its plant
@@ -181,7 +182,7 @@ void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, doub
   for (std::size_t plant = 0; plant < lines.size(); ++plant) {
     std::sort(crowns[plant].begin(), crowns[plant].end());
     for (const auto& [along, k] : crowns[plant]) {
-      if (along > reached[plant] + candidates[k].reach.gap) break;
+      if (along > reached[plant] + reach.gap) break;
       reached[plant] = std::max(reached[plant], along);
       *candidates[k].owner = static_cast<std::int32_t>(plant);
     }

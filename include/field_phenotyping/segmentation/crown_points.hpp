@@ -14,12 +14,12 @@ namespace field_phenotyping {
 /// line, and hardly anything else does up there.
 ///
 /// What is no plant's yet goes to the line that it is nearest to, up to where too much of that is
-/// empty. From `sparse_from` upwards it may be farther off, and so does what was given to another
-/// plant, unless that one's line is nearly as near, and what was taken out as an outlier, if there
-/// is no dust.
+/// empty. From `sparse_from` upwards so does what was given to another plant, unless that one's
+/// line is nearly as near, and what was taken out as an outlier, if there is no dust.
 ///
 /// @param axes        one a plant; the upper part shows where a stem points
-/// @param sparse_from height above the soil [m], see SamplingProfile::sparseFrom()
+/// @param sparse_from height above the soil [m], see SamplingProfile::sparseFrom(); infinite: in a
+///                    stand that is well seen to its tops, plants reach less far beyond their stems
 /// @param owners      of the points of `block.cloud`; filled in. Points of stems stay theirs
 /// @param isolated    of the points of `block.isolated`; filled in
 /// Pure function; lengths in metres.
