@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <utility>
 
@@ -48,7 +49,7 @@ struct Candidate {
   std::int32_t* owner;
   bool isolated = false;
   std::int32_t nearest = -1;  // plant whose line is nearest, if it is within the tube
-  float aside = 0.0F;         // [m] of that line
+  float aside = std::numeric_limits<float>::infinity();  // [m] of that line
 };
 
 std::vector<Candidate> findCandidates(const Block& block, double sparse_from, PointOwners& owners,
@@ -86,8 +87,7 @@ void findNearestLines(const std::vector<Line>& lines, float tube,
                                Candidate& candidate = candidates[k];
                                const float aside = line.aside(candidate.place);
                                if (line.along(candidate.place) < 0.0F) return;
-                               const bool is_first = candidate.nearest < 0;
-                               if (!(aside < (is_first ? tube : candidate.aside))) return;
+                               if (!(aside < std::min(tube, candidate.aside))) return;
                                candidate.aside = aside;
                                candidate.nearest = static_cast<std::int32_t>(plant);
                              });
@@ -95,10 +95,10 @@ void findNearestLines(const std::vector<Line>& lines, float tube,
 }
 
 /// How many times as many points dust has within the tubes as beside them, in a box about a stand.
-float dustWithinTubes(const std::vector<Line>& lines, const Eigen::AlignedBox2f& stand) {
+/// @param middles of the tubes, at height 0
+float dustWithinTubes(const std::vector<Eigen::Vector3f>& middles,
+                      const Eigen::AlignedBox2f& stand) {
   constexpr float kStep = 0.05F;  // [m]
-  std::vector<Eigen::Vector3f> middles;
-  for (const Line& line : lines) middles.emplace_back(line.end.x(), line.end.y(), 0.0F);
   const NeighborGrid grid(middles, kSparse.aside);
   float within = 0.0F;
   float beside = 0.0F;
@@ -128,7 +128,12 @@ void dropDust(const Block& block, const std::vector<Line>& lines, double sparse_
     return layers[static_cast<int>(above / static_cast<double>(kLayer))];
   };
   Eigen::AlignedBox2f stand;
-  for (const Line& line : lines) stand.extend(line.end.head<2>());
+  std::vector<Eigen::Vector3f> middles;  // of the tubes
+  for (const Line& line : lines) {
+    if (!line.known) continue;
+    stand.extend(line.end.head<2>());
+    middles.emplace_back(line.end.x(), line.end.y(), 0.0F);
+  }
   stand.min().array() -= kAround;
   stand.max().array() += kAround;
   for (const Candidate& candidate : candidates) {
@@ -137,7 +142,7 @@ void dropDust(const Block& block, const std::vector<Line>& lines, double sparse_
     (candidate.nearest >= 0 ? layer.within : layer.beside) += 1.0F;
   }
   if (layers.empty()) return;
-  const float of_dust = dustWithinTubes(lines, stand);
+  const float of_dust = dustWithinTubes(middles, stand);
   for (Candidate& candidate : candidates) {
     if (!candidate.isolated || candidate.nearest < 0) continue;
     const Layer& layer = layerOf(candidate);
