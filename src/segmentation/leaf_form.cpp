@@ -52,6 +52,26 @@ Pose poseOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment)
   return pose;
 }
 
+/// [m]
+float heightAboveBase(const Eigen::Vector3f& place, const LeafHost& host) {
+  return std::max(0.0F, place.z() - host.axis->nodes().front().position.z());
+}
+
+/// [m], level.
+float distanceFromLine(const Eigen::Vector3f& place, const LeafHost& host) {
+  return (place - host.axis->pointAtHeight(place.z())).head<2>().norm();
+}
+
+/// [m] above which there are tassels and the upper leaves of whorls, but no stems.
+float heightOfCrowns(const std::vector<LeafHost>& hosts) {
+  constexpr float kAboveStems = 1.15F;  // times their height
+  std::vector<float> heights;
+  for (const LeafHost& host : hosts) {
+    if (!host.axis->empty()) heights.push_back(host.height() - host.tip());
+  }
+  return heights.empty() ? 0.0F : kAboveStems * medianOf(heights);
+}
+
 /// Whether a place is too far from the stem to be its own spike, found or not.
 bool isBeside(const Eigen::Vector3f& place, const LeafHost& host) {
   constexpr float kSpike = 0.08F;  // [m] with its bend
@@ -134,6 +154,7 @@ LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& h
   }
   form.learnCeiling(std::move(rises));
   form.learnTips(hosts);
+  form.learnReaches(cells, hosts);
   return form;
 }
 
@@ -164,6 +185,56 @@ float LeafForm::tooHigh(const Eigen::Vector3f& place, const LeafHost& host) cons
   }
   if (off <= 0.0F) return 0.0F;
   return kWeight * off * off / (1.0F + kTail * off * off);
+}
+
+float LeafForm::tooFar(const Eigen::Vector3f& place, const LeafHost& host) const {
+  if (reaches_.empty()) return 0.0F;
+  const auto layer = static_cast<std::size_t>(heightAboveBase(place, host) / kLayer);
+  const Reach& reach = reaches_[std::min(layer, reaches_.size() - 1U)];
+  const float at = std::clamp(distanceFromLine(place, host) / kBin - 0.5F, 0.0F,
+                              static_cast<float>(kFarBins) - 1.001F);
+  const auto k = static_cast<std::size_t>(at);
+  const float share = at - static_cast<float>(k);
+  return (1.0F - share) * reach[k] + share * reach[k + 1U];
+}
+
+void LeafForm::learnReaches(const OrganCells& cells, const std::vector<LeafHost>& hosts) {
+  constexpr float kLeastCells = 50.0F;  // that show where organs of a layer stand
+  constexpr float kAnywhere = 0.02F;    // share of cells that may be any plant's
+  std::vector<Reach> counts;            // of cells, layer by layer
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
+    const LeafHost& host = hosts[static_cast<std::size_t>(cells.owner[n])];
+    const auto layer = static_cast<std::size_t>(heightAboveBase(cells.centers[n], host) / kLayer);
+    if (layer >= counts.size()) counts.resize(layer + 1U, Reach{});
+    const auto bin = static_cast<std::size_t>(distanceFromLine(cells.centers[n], host) / kBin);
+    counts[layer][std::min(bin, kFarBins - 1U)] += 1.0F;
+  }
+  const float crowns = heightOfCrowns(hosts);
+  reaches_.assign(counts.size(), Reach{});
+  for (std::size_t layer = 0; layer < counts.size(); ++layer) {
+    if (static_cast<float>(layer) * kLayer <= crowns) continue;
+    Reach sum{};
+    float whole = 0.0F;
+    for (std::size_t k = std::max<std::size_t>(layer, 1U) - 1U;
+         k < std::min(layer + 2U, counts.size()); ++k) {
+      for (std::size_t bin = 0; bin < kFarBins; ++bin) {
+        sum[bin] += counts[k][bin];
+        whole += counts[k][bin];
+      }
+    }
+    if (whole < kLeastCells) continue;
+    Reach density{};  // nowhere less than farther off
+    float most = 0.0F;
+    for (std::size_t bin = kFarBins; bin-- > 0U;) {
+      const float area = 2.0F * static_cast<float>(bin) + 1.0F;  // of the ring
+      constexpr auto kWholeArea = static_cast<float>(kFarBins * kFarBins);
+      density[bin] = most = std::max(most, sum[bin] / whole / area + kAnywhere / kWholeArea);
+    }
+    for (std::size_t bin = 0; bin < kFarBins; ++bin) {
+      reaches_[layer][bin] = std::log(most / density[bin]);
+    }
+  }
 }
 
 /// Whether the tip of what carries the stem on is known: it was seen well, and is not lower than

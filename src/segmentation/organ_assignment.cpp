@@ -65,13 +65,14 @@ std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const Lea
                        [&](std::uint32_t plant, float) {
                          if (has_stem[plant] == 0U) return;
                          const LeafHost& host = hosts[plant];
-                         // However small, what stands too high cannot be the plant's.
-                         float high = 0.0F;
+                         // However small, what stands too high or far cannot be the plant's.
+                         float off = 0.0F;
                          for (std::size_t k = 0; k < members.size(); k += stride) {
-                           high += form.tooHigh(cells.centers[members[k]], host);
+                           const Eigen::Vector3f& center = cells.centers[members[k]];
+                           off += form.tooHigh(center, host) + form.tooFar(center, host);
                          }
                          const float cost = share * form.misfit(samples, host) +
-                                            weight * high / static_cast<float>(samples.size());
+                                            weight * off / static_cast<float>(samples.size());
                          of_plants[piece].emplace_back(plant, cost);
                        });
   });
@@ -296,7 +297,7 @@ void growPaths(OrganCells& cells, const std::vector<LeafHost>& hosts, const Leaf
       const LeafHost& host = hosts[static_cast<std::size_t>(plant)];
       way.compared = plant;
       way.misfit = form.misfit(cells.shapes[to], cells.centers[to], host) +
-                   form.tooHigh(cells.centers[to], host);
+                   form.tooHigh(cells.centers[to], host) + form.tooFar(cells.centers[to], host);
     }
     const float through = cost + step * (kLeastMisfit + way.misfit);
     if (through >= way.cost) return false;

@@ -74,9 +74,16 @@ class LeafForm {
   /// nothing stands above a tip that is known.
   float tooHigh(const Eigen::Vector3f& place, const LeafHost& host) const;
 
+  /// How rarely organs of that height stand so far from the line of their stem, from 0: log of the
+  /// ratio of densities. Only above the stems, where tassels stand, and upper leaves that point
+  /// nowhere; below, a leaf's direction tells more.
+  float tooFar(const Eigen::Vector3f& place, const LeafHost& host) const;
+
  private:
   static constexpr std::size_t kBins = 20U;
   static constexpr float kBin = 0.05F;                    // [m]
+  static constexpr std::size_t kFarBins = 24U;            // distances of organs above the stems
+  static constexpr float kLayer = 0.10F;                  // [m] of height above the base
   static constexpr std::size_t kStemBands = 5U;           // of equal height up the stem
   static constexpr std::size_t kBands = kStemBands + 1U;  // and one above its end
   struct Bin {
@@ -85,6 +92,7 @@ class LeafForm {
     float miss_spread = 0.0F;
   };
   using Profile = std::array<Bin, kBins>;
+  using Reach = std::array<float, kFarBins>;  // by the distance from the stem's line
   struct Samples {
     std::array<std::vector<float>, kBins> slopes;
     std::array<std::vector<float>, kBins> misses;
@@ -96,8 +104,10 @@ class LeafForm {
   bool hasTip(const LeafHost& host) const;
   void learnTips(const std::vector<LeafHost>& hosts);
   void learnCeiling(std::vector<std::vector<float>> rises);
+  void learnReaches(const OrganCells& cells, const std::vector<LeafHost>& hosts);
 
   std::array<Profile, kBands> bands_;
+  std::vector<Reach> reaches_;    // of each layer
   std::optional<float> ceiling_;  // [m] above the top, for organs beside the stem
   float rise_spread_ = 0.0F;      // [m] standard deviation, over plants, of their highest organ
   RobustSpread tips_{};           // [m] of what carries stems on, above their axes
