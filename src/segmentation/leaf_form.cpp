@@ -64,7 +64,7 @@ float distanceFromLine(const Eigen::Vector3f& place, const LeafHost& host) {
 
 /// [m] above which there are tassels and the upper leaves of whorls, but no stems.
 float heightOfCrowns(const std::vector<LeafHost>& hosts) {
-  constexpr float kAboveStems = 1.15F;  // times their height
+  constexpr float kAboveStems = 1.2F;  // times their height
   std::vector<float> heights;
   for (const LeafHost& host : hosts) {
     if (!host.axis->empty()) heights.push_back(host.height() - host.tip());

@@ -17,6 +17,7 @@
 #include "field_phenotyping/segmentation/organ_assignment.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
 #include "field_phenotyping/segmentation/stand_fit.hpp"
+#include "field_phenotyping/segmentation/stand_tops.hpp"
 #include "field_phenotyping/segmentation/stem_foot.hpp"
 #include "field_phenotyping/segmentation/stem_growth.hpp"
 #include "field_phenotyping/segmentation/stem_search.hpp"
@@ -250,6 +251,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const std::vector<StemAxis> axes = axesOf(stems);
   PointOwners isolated = findIsolatedPoints(block, grid, axes, owners);
   giveCrownPoints(block, axes, sampling.sparseFrom(), owners, isolated);
+  giveTopsBack(block.cloud.points, axes, owners);
   return assemble(block, stems, owners, isolated);
 }
 
