@@ -61,6 +61,11 @@ class Bench:
     def progress(self, text):
         print('{:5.0f} s  {}'.format(time.time() - self._begin, text), file=sys.stderr, flush=True)
 
+    def new_folder(self, name):
+        """A path that nothing is at yet."""
+        self._count += 1
+        return os.path.join(self._folder, '{}_{}'.format(name, self._count))
+
     def run(self, name, *arguments):
         """Runs a program of this package; raises InputError with what it said if it fails."""
         program = os.environ.get(name.upper())
@@ -69,7 +74,7 @@ class Bench:
 
     def json_rows(self, name, *arguments):
         """What a program of this package writes to the JSON file that its --output names."""
-        path = self._new_folder('rows') + '.json'
+        path = self.new_folder('rows') + '.json'
         self.run(name, *arguments, '--output', path)
         with open(path) as file:
             return json.load(file)
@@ -82,10 +87,10 @@ class Bench:
         program = os.environ.get('PHENOTYPE_CLOUD') or self._output(
             'catkin_find', '--first-only', '--libexec', 'field_phenotyping', 'phenotype_cloud'
         )
-        counts = self._new_folder('callgrind')
+        counts = self.new_folder('callgrind')
         self._run(
             ['valgrind', '--tool=callgrind', '--callgrind-out-file=' + counts, program.strip()]
-            + [cloud, '--output', self._new_folder('run'), '--threads', '1', '--device', 'cpu']
+            + [cloud, '--output', self.new_folder('run'), '--threads', '1', '--device', 'cpu']
             + list(settings)
         )
         table = self._output(
@@ -120,7 +125,7 @@ class Bench:
 
     def simulate(self, *settings):
         """Folder of a new simulated field, of the bench's seed if the settings give none."""
-        field = self._new_folder('field')
+        field = self.new_folder('field')
         seed = [] if '--seed' in settings else ['--seed', self.seed]
         self.run('simulate_field', '--no-bag', '--output', field, *seed, *settings)
         return field
@@ -133,7 +138,7 @@ class Bench:
 
     def drive(self, *settings):
         """Folder of a new simulated field with the bag of the drive through it."""
-        field = self._new_folder('field')
+        field = self.new_folder('field')
         self.run('simulate_field', '--output', field, '--seed', self.seed, *settings)
         return field
 
@@ -153,7 +158,7 @@ class Bench:
         return output, watch
 
     def _start_replay(self, bag, settings):
-        output = self._new_folder('replay')
+        output = self.new_folder('replay')
         os.makedirs(output)
         with socket.socket() as listener:
             listener.bind(('127.0.0.1', 0))
@@ -183,13 +188,13 @@ class Bench:
 
     def measure(self, cloud, *settings):
         """Folder of a run of phenotype_cloud with its defaults and `settings`."""
-        run = self._new_folder('run')
+        run = self.new_folder('run')
         self.run('phenotype_cloud', cloud, '--output', run, *settings)
         return run
 
     def cluster(self, cloud, method, *settings):
         """Folder of a run of pcl_clusters."""
-        run = self._new_folder(method)
+        run = self.new_folder(method)
         self.run('pcl_clusters', cloud, '--method', method, '--output', run, *settings)
         return run
 
@@ -197,10 +202,6 @@ class Bench:
         """What `evaluate` finds for phenotype_cloud on a simulated field."""
         field = self.simulate(*settings)
         return score(self.measure(cloud_of(field)), field)
-
-    def _new_folder(self, name):
-        self._count += 1
-        return os.path.join(self._folder, '{}_{}'.format(name, self._count))
 
 
 def _mind_interrupts():
