@@ -191,6 +191,7 @@ float LeafForm::tooFar(const Eigen::Vector3f& place, const LeafHost& host) const
   if (reaches_.empty()) return 0.0F;
   const auto layer = static_cast<std::size_t>(heightAboveBase(place, host) / kLayer);
   const Reach& reach = reaches_[std::min(layer, reaches_.size() - 1U)];
+  if (reach.back() == 0.0F) return 0.0F;  // it tells nothing
   const float at = std::clamp(distanceFromLine(place, host) / kBin - 0.5F, 0.0F,
                               static_cast<float>(kFarBins) - 1.001F);
   const auto k = static_cast<std::size_t>(at);

@@ -148,15 +148,19 @@ class Stand {
 
   Top findTop(std::size_t plant) const {
     Top top;
-    std::vector<std::uint32_t> downwards = of_plants_[plant];
-    if (!lines_[plant].known() || downwards.size() < kHighest) return top;
+    const std::vector<std::uint32_t>& own = of_plants_[plant];
+    if (!lines_[plant].known() || own.size() < kHighest) return top;
     const auto isLower = [&](std::uint32_t a, std::uint32_t b) {
       return points_[a].z() < points_[b].z();
     };
-    std::make_heap(downwards.begin(), downwards.end(), isLower);
     top.is_known = true;
-    top.z = points_[downwards.front()].z();
-    const float middle = 0.5F * (top.z + lines_[plant].base().z());  // no top is lower
+    top.z = points_[*std::max_element(own.begin(), own.end(), isLower)].z();
+    top.undisputed = 0.5F * (top.z + lines_[plant].base().z());  // no top is lower
+    std::vector<std::uint32_t> downwards;
+    for (const std::uint32_t i : own) {
+      if (points_[i].z() > top.undisputed) downwards.push_back(i);
+    }
+    std::make_heap(downwards.begin(), downwards.end(), isLower);
     std::vector<float> off;
     std::size_t disputed = 0U;
     bool settled = false;
@@ -165,7 +169,7 @@ class Stand {
       const Eigen::Vector3f& place = points_[downwards.front()];
       std::pop_heap(downwards.begin(), end, isLower);
       const float distance = lines_[plant].distanceTo(place);
-      const bool is_disputed = place.z() > middle && isNearOther(place, plant, distance);
+      const bool is_disputed = isNearOther(place, plant, distance);
       if (off.size() < kHighest) {
         off.push_back(distance);
         if (is_disputed) ++disputed;
@@ -175,7 +179,7 @@ class Stand {
         top.undisputed = place.z();
       }
     }
-    top.off_line = medianOf(off);
+    top.off_line = off.empty() ? 0.0F : medianOf(off);
     top.is_disputed = 2U * disputed > kHighest;
     return top;
   }
