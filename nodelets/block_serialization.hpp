@@ -279,6 +279,7 @@ struct Serializer<field_phenotyping::Plant> {
     stream.next(plant.stem.end);
     stream.next(plant.axis);
     stream.next(plant.base);
+    stream.next(plant.top_stddev);
     stream.next(plant.growth.quality);
     stream.next(plant.growth.iterations);
     stream.next(plant.growth.r1);

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <numeric>
 
 #include "common/gpu_streams.hpp"
 #include "common/xyz.hpp"
@@ -11,7 +10,6 @@
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
-#include "field_phenotyping/segmentation/stand_tops.hpp"
 #include "measurement/outermost_heights_gpu.hpp"
 
 namespace field_phenotyping {
@@ -142,18 +140,6 @@ std::vector<double> sparsenessOfTops(const SegmentedBlock& block, const std::vec
   return sparseness;
 }
 
-/// Of each plant's highest point, by the doubt whose it is [m].
-std::vector<double> doubtsOfTops(const SegmentedBlock& block) {
-  PointsOfPlants of_plants;
-  std::vector<const StemAxis*> axes;
-  for (const Plant& plant : block.plants) {
-    axes.push_back(&plant.axis);
-    of_plants.emplace_back(plant.points.size());
-    std::iota(of_plants.back().begin(), of_plants.back().end(), plant.points.begin);
-  }
-  return doubtTops(block.cloud.points, axes, of_plants);
-}
-
 }  // namespace
 
 std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
@@ -166,7 +152,6 @@ std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
   const std::vector<End> bottoms = soil ? std::vector<End>() : endsOf(block, -1.0F, device);
   const Overhang below(block, bottoms);
   const std::vector<double> sparseness = sparsenessOfTops(block, tops);
-  const std::vector<double> doubts = doubtsOfTops(block);
   const double corrected = parameters.mode == "paper" ? 0.0 : 1.0;
 
   std::vector<PlantHeight> heights(block.plants.size());
@@ -196,7 +181,8 @@ std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
     // Of a plant's height: a tassel's branches, or the tip of a leaf.
     constexpr double kTopShare = 0.05;
     const double sparse = kTopShare * sparseness[i] * std::max(result.height.value, 0.0);
-    result.height.stddev = std::hypot(result.height.stddev, sparse, doubts[i]);
+    result.height.stddev =
+        std::hypot(result.height.stddev, sparse, static_cast<double>(plant.top_stddev));
   }
   return heights;
 }

@@ -86,6 +86,84 @@ std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const Lea
   return misfits;
 }
 
+/// The plant that a piece would be of if not of its own.
+struct Rival {
+  std::int32_t plant = -1;
+  float chance = 0.0F;  ///< that it is
+};
+
+/// @param costs    of each plant: the pieces that it can get at
+/// @param plant_of of each piece
+std::vector<Rival> findRivals(const std::vector<std::vector<Misfit>>& costs,
+                              const std::vector<std::int32_t>& plant_of) {
+  constexpr float kNone = std::numeric_limits<float>::max();
+  // Costs overstate how sure they are, since a piece that is odd is so all along: of tops whose
+  // piece was dearer for any other plant by so much, every fifth was another's.
+  constexpr float kScale = 10.0F;
+  std::vector<float> own(plant_of.size(), kNone);
+  std::vector<float> least(plant_of.size(), kNone);  // of others
+  std::vector<Rival> rivals(plant_of.size());
+  for (std::size_t plant = 0; plant < costs.size(); ++plant) {
+    for (const Misfit& of : costs[plant]) {
+      if (plant_of[of.piece] == static_cast<std::int32_t>(plant)) {
+        own[of.piece] = of.cost;
+      } else if (of.cost < least[of.piece]) {
+        least[of.piece] = of.cost;
+        rivals[of.piece].plant = static_cast<std::int32_t>(plant);
+      }
+    }
+  }
+  for (std::size_t piece = 0; piece < rivals.size(); ++piece) {
+    if (rivals[piece].plant < 0 || own[piece] == kNone) continue;
+    const float dearer = std::max(0.0F, least[piece] - own[piece]);
+    rivals[piece].chance = 0.5F * std::exp(-dearer / kScale);
+  }
+  return rivals;
+}
+
+/// Of each plant: standard deviation of its highest point by what its rivals may have of it, and
+/// it of them [m].
+std::vector<float> doubtTops(const OrganCells& cells, const LeafPieces& pieces,
+                             const std::vector<Rival>& rivals, const std::vector<LeafHost>& hosts) {
+  constexpr float kSure = 0.05F;  // chance of what is not doubted
+  std::vector<float> top;         // of each plant, and of what of it is sure
+  for (const LeafHost& host : hosts) top.push_back(host.top);
+  std::vector<float> sure = top;
+  std::vector<float> chance(hosts.size(), 0.0F);  // that the highest piece is another's
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    if (cells.owner[n] < 0) continue;
+    const auto plant = static_cast<std::size_t>(cells.owner[n]);
+    const std::int32_t piece = pieces.of_cell[n];
+    const float of_rival = piece < 0 ? 0.0F : rivals[static_cast<std::size_t>(piece)].chance;
+    const float z = cells.centers[n].z();
+    if (z > top[plant]) {
+      top[plant] = z;
+      chance[plant] = of_rival;
+    }
+    if (of_rival < kSure) sure[plant] = std::max(sure[plant], z);
+  }
+  std::vector<float> variance(hosts.size());
+  for (std::size_t plant = 0; plant < hosts.size(); ++plant) {
+    const float drop = top[plant] - sure[plant];
+    variance[plant] = chance[plant] * drop * drop;
+  }
+  std::vector<float> rise_variance(hosts.size(), 0.0F);
+  for (std::size_t piece = 0; piece < rivals.size(); ++piece) {
+    const Rival& rival = rivals[piece];
+    if (rival.chance < kSure) continue;
+    float high = std::numeric_limits<float>::lowest();
+    for (const std::uint32_t n : pieces.cells[piece]) high = std::max(high, cells.centers[n].z());
+    const auto plant = static_cast<std::size_t>(rival.plant);
+    const float rise = std::max(0.0F, high - top[plant]);
+    rise_variance[plant] = std::max(rise_variance[plant], rival.chance * rise * rise);
+  }
+  std::vector<float> stddevs;
+  for (std::size_t plant = 0; plant < hosts.size(); ++plant) {
+    stddevs.push_back(std::sqrt(variance[plant] + rise_variance[plant]));
+  }
+  return stddevs;
+}
+
 /// Where every plant in turn takes what makes the sum of all costs least, until nothing changes: a
 /// piece costs what it costs the plant that has it, and a link between pieces of two plants costs
 /// the more the likelier it is that one continues the other.
@@ -170,10 +248,10 @@ void settlePieces(const std::vector<std::vector<Misfit>>& costs,
 /// one continues; every piece on the way costs as much as its form does not fit that plant. The
 /// plant with the cheapest way has it; `settle` then gives pieces that continue one another away
 /// together, which is of use only once the form is known.
-void assignPieces(OrganCells& cells, const LeafPieces& pieces,
-                  const std::vector<std::vector<PieceLink>>& links,
-                  const std::vector<LeafHost>& hosts, float reach, const LeafForm& form,
-                  float misfit_weight, bool settle) {
+std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
+                                const std::vector<std::vector<PieceLink>>& links,
+                                const std::vector<LeafHost>& hosts, float reach,
+                                const LeafForm& form, float misfit_weight, bool settle) {
   constexpr float kMostCost = 60.0F;
   constexpr float kGapScale = 0.04F;  // [m] of gap between a stem and its leaf that costs 1
   constexpr float kNone = std::numeric_limits<float>::max();
@@ -255,6 +333,7 @@ void assignPieces(OrganCells& cells, const LeafPieces& pieces,
   for (std::size_t piece = 0; piece < count; ++piece) {
     for (const std::uint32_t n : pieces.cells[piece]) cells.owner[n] = plant_of[piece];
   }
+  return findRivals(costs_of, plant_of);
 }
 
 /// Cost of a step: its squared length, times more the less it follows the organs at both ends, and
@@ -401,11 +480,10 @@ std::vector<LeafHost> hostsOf(const Block& block, const std::vector<StemAxis>& a
 
 }  // namespace
 
-std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
-                                       std::vector<std::int32_t> owner,
-                                       const SegmentationParameters& parameters,
-                                       const ComputeDevice& device) {
-  if (block.cloud.empty()) return owner;
+OrganOwners assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
+                         std::vector<std::int32_t> owner, const SegmentationParameters& parameters,
+                         const ComputeDevice& device) {
+  if (block.cloud.empty()) return {std::move(owner), std::vector<float>(axes.size(), 0.0F)};
   const auto reach = static_cast<float>(parameters.organ_reach);
   const float noise = noiseOf(block, axes, owner);
   const std::vector<OrganEnd> ends = followStemsUp(block, axes, noise, owner);
@@ -421,7 +499,8 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   LeafForm form;
   assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kLooseWeight, false);
   form = LeafForm::learn(cells, hosts);
-  assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kFirmWeight, true);
+  const std::vector<Rival> rivals =
+      assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kFirmWeight, true);
   // Crossings, margins and what is too small or rough to be a piece.
   growPaths(cells, hosts, form, std::min(kOrganStep, reach), false);
   // Gaps that leaves in front have torn; not near the soil, where weeds stand as close.
@@ -429,7 +508,7 @@ std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<Ste
   for (std::size_t i = 0; i < owner.size(); ++i) {
     if (owner[i] < 0) owner[i] = cells.owner[cells.of_point[i]];
   }
-  return owner;
+  return {std::move(owner), doubtTops(cells, pieces, rivals, hosts)};
 }
 
 }  // namespace field_phenotyping

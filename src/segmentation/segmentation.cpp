@@ -233,10 +233,13 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
 
   // Every other organ to its plant.
   PointOwners owners;
+  std::vector<float> top_stddevs;  // of each plant
   const auto giveToPlants = [&] {
     owners.stem = resolveOwners(scene, stems);
     const std::vector<StemAxis> axes = axesOf(stems);
-    owners.plant = assignOrgans(block, axes, owners.stem, parameters, device);
+    OrganOwners organs = assignOrgans(block, axes, owners.stem, parameters, device);
+    owners.plant = std::move(organs.plant);
+    top_stddevs = std::move(organs.top_stddev);
   };
   giveToPlants();
   const std::vector<bool> tillers = findTillers(scene, block, stems, owners.plant);
@@ -252,7 +255,12 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   PointOwners isolated = findIsolatedPoints(block, grid, axes, owners);
   giveCrownPoints(block, axes, sampling.sparseFrom(), owners, isolated);
   giveTopsBack(block.cloud.points, axes, owners);
-  return assemble(block, stems, owners, isolated);
+  SegmentedBlock out = assemble(block, stems, owners, isolated);
+  const std::vector<float> disputed = doubtTops(out);
+  for (std::size_t s = 0; s < out.plants.size(); ++s) {
+    out.plants[s].top_stddev = std::hypot(top_stddevs[s], disputed[s]);
+  }
+  return out;
 }
 
 }  // namespace field_phenotyping

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <functional>
 #include <numeric>
 #include <optional>
@@ -14,6 +15,9 @@
 
 namespace field_phenotyping {
 namespace {
+
+/// The points of each plant: indices.
+using PointsOfPlants = std::vector<std::vector<std::uint32_t>>;
 
 constexpr std::size_t kHighest = 3U;  // points that show where a top is
 constexpr float kFarthest = 1.5F;     // [m] of a plant's points from its base, level
@@ -252,14 +256,20 @@ void giveTopsBack(const std::vector<Eigen::Vector3f>& points, const std::vector<
   }
 }
 
-std::vector<double> doubtTops(const std::vector<Eigen::Vector3f>& points,
-                              const std::vector<const StemAxis*>& axes,
-                              const PointsOfPlants& of_plants) {
+std::vector<float> doubtTops(const SegmentedBlock& block) {
   constexpr float kMostRise = 0.6F;  // [m] of a tassel
+  const std::vector<Eigen::Vector3f>& points = block.cloud.points;
+  PointsOfPlants of_plants;
+  std::vector<const StemAxis*> axes;
+  for (const Plant& plant : block.plants) {
+    axes.push_back(&plant.axis);
+    of_plants.emplace_back(plant.points.size());
+    std::iota(of_plants.back().begin(), of_plants.back().end(), plant.points.begin);
+  }
   const Stand stand(points, axes, of_plants);
-  std::vector<double> doubts(axes.size(), 0.0);
+  std::vector<float> doubts(axes.size(), 0.0F);
   if (stand.known() < 2U) return doubts;
-  const double wrong = shareOfWrong(stand);
+  const auto wrong = static_cast<float>(shareOfWrong(stand));
   parallelFor(axes.size(), [&](std::size_t plant) {
     const Top& top = stand.top(plant);
     if (!top.is_known) return;
@@ -271,8 +281,7 @@ std::vector<double> doubtTops(const std::vector<Eigen::Vector3f>& points,
       });
       rise = std::min(highest.last() - top.z, kMostRise);
     }
-    doubts[plant] =
-        std::sqrt(wrong) * static_cast<double>(std::hypot(top.z - top.undisputed, rise));
+    doubts[plant] = std::sqrt(wrong) * std::hypot(top.z - top.undisputed, rise);
   });
   return doubts;
 }

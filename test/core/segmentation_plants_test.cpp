@@ -535,7 +535,7 @@ class OrgansOfARow : public ::testing::Test {
   void assign(double reach = 0.10) {
     SegmentationParameters parameters;
     parameters.organ_reach = reach;
-    assigned_ = assignOrgans(blockOfPoints(points_), axes_, owner_, parameters);
+    assigned_ = assignOrgans(blockOfPoints(points_), axes_, owner_, parameters).plant;
     ASSERT_EQ(assigned_.size(), owner_.size());
     for (std::size_t i = 0; i < owner_.size(); ++i) {
       if (owner_[i] >= 0) {
@@ -635,7 +635,7 @@ TEST_F(OrgansOfAStand, WhatHangsAboveAShortPlantIsATallNeighbours) {
 }
 
 TEST_F(Organs, NoStemsAndNoPoints) {
-  EXPECT_TRUE(assignOrgans(Block(), {}, {}, {}).empty());
+  EXPECT_TRUE(assignOrgans(Block(), {}, {}, {}).plant.empty());
   std::fill(owner_.begin(), owner_.end(), -1);
   assign();
   EXPECT_EQ(std::count(assigned_.begin(), assigned_.end(), -1),

@@ -55,20 +55,26 @@ struct Row {
       if (owners.plant[i] == from && points[i].z() > kLeafTop) owners.plant[i] = to;
     }
   }
-  std::vector<double> doubts() const {
-    PointsOfPlants of_plants(axes.size());
-    std::vector<const StemAxis*> all;
-    for (std::uint32_t i = 0; i < points.size(); ++i) {
-      of_plants[static_cast<std::size_t>(owners.plant[i])].push_back(i);
+  std::vector<float> doubts() const {
+    SegmentedBlock block;
+    for (std::size_t k = 0; k < axes.size(); ++k) {
+      Plant plant;
+      plant.axis = axes[k];
+      plant.points.begin = static_cast<std::uint32_t>(block.cloud.size());
+      for (std::size_t i = 0; i < points.size(); ++i) {
+        if (owners.plant[i] == static_cast<std::int32_t>(k))
+          block.cloud.points.push_back(points[i]);
+      }
+      plant.points.end = static_cast<std::uint32_t>(block.cloud.size());
+      block.plants.push_back(plant);
     }
-    for (const StemAxis& axis : axes) all.push_back(&axis);
-    return doubtTops(points, all, of_plants);
+    return doubtTops(block);
   }
 };
 
 TEST(StandTops, NoneIsDoubtedWhereAllAreRight) {
   const Row row(12U);
-  for (const double doubt : row.doubts()) EXPECT_EQ(doubt, 0.0);
+  for (const float doubt : row.doubts()) EXPECT_EQ(doubt, 0.0F);
   Row given_back = row;
   giveTopsBack(given_back.points, given_back.axes, given_back.owners);
   EXPECT_EQ(given_back.owners.plant, row.owners.plant);
@@ -83,13 +89,13 @@ TEST(StandTops, ATopGivenToANeighbourIsDoubtedOfBoth) {
       row.points[i].z() -= 0.3F;
     }
   }
-  const std::vector<double> doubts = row.doubts();
+  const std::vector<float> doubts = row.doubts();
   for (std::size_t plant = 0; plant < doubts.size(); ++plant) {
     if (plant == 4U || plant == 5U) {
       // The truth is within two standard deviations: 0.5 m, 0.2 m.
-      EXPECT_GT(doubts[plant], plant == 4U ? 0.25 : 0.1) << plant;
+      EXPECT_GT(doubts[plant], plant == 4U ? 0.25F : 0.1F) << plant;
     } else {
-      EXPECT_EQ(doubts[plant], 0.0) << plant;
+      EXPECT_EQ(doubts[plant], 0.0F) << plant;
     }
   }
 }
@@ -119,11 +125,11 @@ TEST(StandTops, WhereTipsStandFarOffTheirLinesChanceDisputesThem) {
   // Tips a quarter of a metre off: about half of all are nearer to another stem, with 0.5 m above
   // what is not disputed.
   const Row row(60U, 0.25F);
-  std::vector<double> doubts = row.doubts();
+  std::vector<float> doubts = row.doubts();
   std::size_t disputed = 0U;
-  for (const double doubt : doubts) {
-    disputed += doubt > 0.0 ? 1U : 0U;
-    EXPECT_LT(doubt, 0.25);
+  for (const float doubt : doubts) {
+    disputed += doubt > 0.0F ? 1U : 0U;
+    EXPECT_LT(doubt, 0.25F);
   }
   EXPECT_GT(disputed, doubts.size() / 4U);
   Row given_back = row;
@@ -133,14 +139,14 @@ TEST(StandTops, WhereTipsStandFarOffTheirLinesChanceDisputesThem) {
 
 TEST(StandTops, OfOnePlantOrNone) {
   const Row one(1U);
-  EXPECT_EQ(one.doubts(), std::vector<double>{0.0});
-  EXPECT_TRUE(doubtTops({}, {}, {}).empty());
+  EXPECT_EQ(one.doubts(), std::vector<float>{0.0F});
+  EXPECT_TRUE(doubtTops(SegmentedBlock()).empty());
   PointOwners none;
   giveTopsBack({}, {}, none);
   Row without_axis(3U);
   without_axis.axes[1] = StemAxis();
   giveTopsBack(without_axis.points, without_axis.axes, without_axis.owners);
-  for (const double doubt : without_axis.doubts()) EXPECT_EQ(doubt, 0.0);
+  for (const float doubt : without_axis.doubts()) EXPECT_EQ(doubt, 0.0F);
 }
 
 }  // namespace

@@ -85,6 +85,7 @@ SegmentedBlock segmentedBlock() {
   plant.stem = {1U, 3U};
   plant.axis = StemAxis({{{0.0F, 0.0F, 0.0F}, 0.01F}, {{0.0F, 0.1F, 1.0F}, 0.008F}});
   plant.base = {0.1F, 0.2F, 0.3F};
+  plant.top_stddev = 0.04F;
   plant.growth = {0.9F, 2U, 0.04F, 0.5F, 0.2F, 0.8F, {RegionSummary()}};
   block.plants = {plant, plant};
   block.plants[1].id = -1;
@@ -156,6 +157,7 @@ void expectSame(const SegmentedBlock& a, const SegmentedBlock& b) {
     EXPECT_EQ(p.stem.begin, q.stem.begin);
     EXPECT_EQ(p.stem.end, q.stem.end);
     EXPECT_EQ(p.base, q.base);
+    EXPECT_EQ(p.top_stddev, q.top_stddev);
     EXPECT_EQ(p.growth.quality, q.growth.quality);
     EXPECT_EQ(p.growth.iterations, q.growth.iterations);
     EXPECT_EQ(p.growth.r1, q.growth.r1);
@@ -225,6 +227,7 @@ TEST(Wire, IsThatOfTheGeneratedMessages) {
   EXPECT_EQ(segmented.plants.at(0).id, 12);
   EXPECT_EQ(segmented.plants.at(0).stem_end, 3U);
   EXPECT_EQ(segmented.plants.at(0).axis_radius.at(1), 0.008F);
+  EXPECT_EQ(segmented.plants.at(0).top_stddev, 0.04F);
   EXPECT_EQ(segmented.plants.at(0).beta, 0.8F);
   EXPECT_EQ(segmented.source_index.at(0), 4U);
 

@@ -29,7 +29,7 @@ struct PlantHeight {
 /// Where hardly anything is seen about the highest points, nothing leads from one to the next, and
 /// which plant they are of can be told by where they stand only: the standard deviation grows, by
 /// up to a twentieth of the plant's height. It grows also where the top may be another plant's, or
-/// the plant's own has been given to another (doubtTops()).
+/// the plant's own has been given to another (Plant::top_stddev).
 ///
 /// Without soil in the block the height is that above the lowest point of the plant, its standard
 /// deviation that of the sampling only. In mode "paper": the highest point, nothing added.

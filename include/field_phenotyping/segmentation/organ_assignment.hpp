@@ -10,6 +10,16 @@
 
 namespace field_phenotyping {
 
+/// Whose the organs of a block are.
+struct OrganOwners {
+  /// Per point: index of the plant; what no stem reaches stays -1.
+  std::vector<std::int32_t> plant;
+  /// Of each plant: standard deviation of the height of its highest point [m], by the doubt whose
+  /// the pieces of leaves up there are: its own that fit another plant nearly as well, and others'
+  /// that fit it nearly as well.
+  std::vector<float> top_stddev;
+};
+
 /// Gives every other organ to its plant.
 ///
 /// Leaves are taken in pieces that run on smoothly, through crossings where they foretell it. A
@@ -28,10 +38,9 @@ namespace field_phenotyping {
 ///
 /// @param axes  stem axis of each plant; a plant that owns no point gets none
 /// @param owner per point of `block.cloud`: index of the plant whose stem holds it, or -1
-/// @return the same array with leaves and tassels filled in; what no stem reaches stays -1
-std::vector<std::int32_t> assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
-                                       std::vector<std::int32_t> owner,
-                                       const SegmentationParameters& parameters,
-                                       const ComputeDevice& device = {});
+/// @return the same array with leaves and tassels filled in, and how sure their tops are
+OrganOwners assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
+                         std::vector<std::int32_t> owner, const SegmentationParameters& parameters,
+                         const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping

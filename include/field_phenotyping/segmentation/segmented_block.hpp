@@ -40,6 +40,8 @@ struct Plant {
   IndexSpan stem;        ///< its stem points: a prefix of `points`
   StemAxis axis;
   Eigen::Vector3f base = Eigen::Vector3f::Zero();  ///< where the axis meets the soil [m], local
+  /// Standard deviation of its highest point, by the doubt whose the organs up there are [m].
+  float top_stddev = 0.0F;
   GrowthSummary growth;
 };
 

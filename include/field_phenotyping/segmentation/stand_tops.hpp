@@ -1,16 +1,13 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <cstdint>
 #include <vector>
 
 #include "field_phenotyping/segmentation/isolated_points.hpp"
+#include "field_phenotyping/segmentation/segmented_block.hpp"
 #include "field_phenotyping/segmentation/stem_axis.hpp"
 
 namespace field_phenotyping {
-
-/// The points of each plant: indices.
-using PointsOfPlants = std::vector<std::vector<std::uint32_t>>;
 
 /// Whose the tops of a stand's plants are. Where plants stand close a tassel, or a tip, may have
 /// been given to a neighbour. Its place tells: a plant's highest points stand about the straight
@@ -35,8 +32,6 @@ void giveTopsBack(const std::vector<Eigen::Vector3f>& points, const std::vector<
 /// How many tops are disputed beyond those by chance says what share of them is wrong (empirical
 /// Bayes). With that probability the top is as far down as the highest point that is not disputed;
 /// or, where it is far off its own line, as far up as what others hold nearer to that line.
-std::vector<double> doubtTops(const std::vector<Eigen::Vector3f>& points,
-                              const std::vector<const StemAxis*>& axes,
-                              const PointsOfPlants& of_plants);
+std::vector<float> doubtTops(const SegmentedBlock& block);
 
 }  // namespace field_phenotyping
