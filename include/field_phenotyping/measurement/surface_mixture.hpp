@@ -19,8 +19,10 @@ namespace field_phenotyping {
 /// information of Louis (1982), or with as much of the complete information as makes it positive;
 /// each step raises the posterior. It ends where a step of Newton's moves the surface by less than
 /// a thousandth of the radius, which leaves a hundredth of that or less. The noise is found by
-/// residual maximum likelihood. Bins are no finer than noise of a fiftieth of the radius
-/// needs: thinner noise is found too large, by up to half.
+/// residual maximum likelihood. Where points depart from the surface together, patch by patch and
+/// by more than chance, the stem is no exact ellipse; then the fit is done anew, with points that
+/// count for as much less than one as they know of each other. Bins are no finer than noise of a
+/// fiftieth of the radius needs: thinner noise is found too large, by up to half.
 ///
 /// Thread-safe, deterministic.
 SurfaceMixtureFit fitSurfaceMixture(const CrossSectionPoints& points, const CrossSectionTask& task,

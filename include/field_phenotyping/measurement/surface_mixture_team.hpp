@@ -238,9 +238,7 @@ class SurfaceMixtureSolver {
         shared_(mixture::sharedScratchAt(shared, bins)),
         of_points_(of_points),
         information_(team),
-        parameters_(start.parameters),
-        outlier_odds_(logarithm(start.outlier_share / (1.0 - start.outlier_share))),
-        trial_odds_(outlier_odds_) {
+        parameters_(start.parameters) {
     // Logarithms of the shares change by this much over as much of the surface as the noise blurs:
     // the end of an arc may be sharp, noise in how many points there are may not.
     constexpr double kJump = 2.5;
@@ -249,12 +247,8 @@ class SurfaceMixtureSolver {
       const Direction u = directionOf(k, bins_);
       shared_.x[k] = u.x;
       shared_.y[k] = u.y;
-      shared_.trial[k] = 0.0;
     }
-    clear(shared_.wished, unknowns_);
-    team_.sync();
-    findShares();
-    evaluate(parameters_, 0.0);
+    beginAt(start);
   }
 
   /// Up to `steps` steps; true once what is left of them is negligible.
@@ -314,6 +308,30 @@ class SurfaceMixtureSolver {
     return false;
   }
 
+  FIELD_PHENOTYPING_HD_ONCE void beginAt(const CrossSectionStart& start) {
+    parameters_ = start.parameters;
+    outlier_odds_ = logarithm(start.outlier_share / (1.0 - start.outlier_share));
+    trial_odds_ = outlier_odds_;
+    team_.sync();  // all may still be read
+    clear(shared_.trial, bins_);
+    clear(shared_.wished, unknowns_);
+    team_.sync();
+    findShares();
+    evaluate(parameters_, 0.0);
+  }
+
+  /// Where points depart from the surface together, as no stem is an exact ellipse, a point counts
+  /// for less than one, from here on. To be called after describe(). @return whether that is so
+  FIELD_PHENOTYPING_HD bool countTogether(const CrossSectionStart& start) {
+    constexpr double kByChance = 2.0;  // of exact ellipses it is less
+    // Of thicker noise most points of a patch are another's.
+    const double patch = mixture::kTwoPi / mixture::kSectors * parameters_[kRadius];
+    if (!(togetherness_ > kByChance && exponential(parameters_[kNoise]) < patch)) return false;
+    weight_ = 1.0 / (1.0 + togetherness_ - kByChance);
+    beginAt(start);
+    return true;
+  }
+
   /// @param fit the same memory for all members, who may read it afterwards
   FIELD_PHENOTYPING_HD void describe(bool converged, SurfaceMixtureFit& fit) {
     const double members = shared_.sums->members;
@@ -326,7 +344,7 @@ class SurfaceMixtureSolver {
       fit.parameters = parameters_;
       fit.radius_prior_variance = 1.0 / prior_.weight[kRadius];
       fit.outlier_share = shareAt(outlier_odds_);
-      fit.surface_points = members;
+      fit.surface_points = members / weight_;
       fit.freedom = members - fitted_shape_ + 0.5 * prior_.weight[kNoise];
       fit.arc_coverage = arc_coverage;
     }
@@ -690,6 +708,7 @@ class SurfaceMixtureSolver {
     clearBins();
     team_.sync();
     visitPoints<true>(c, [&](const mixture::PointScratch& point) { add(point, sums); });
+    if (weight_ < 1.0) weigh(sums);
     addStiffness(sums);
 
     double jumps = 0.0;
@@ -710,12 +729,24 @@ class SurfaceMixtureSolver {
     return likelihood_ + prior_.valueAt(evaluated) + fitted_ * evaluated[kNoise];
   }
 
+  /// Makes sums over the points ones over as many as they count for.
+  FIELD_PHENOTYPING_HD void weigh(mixture::Sums& sums) const {
+    auto* const all = reinterpret_cast<double*>(&sums);
+    for (int i = rank(); i < mixture::kSumsSize; i += size()) all[i] *= weight_;
+    const auto weight = static_cast<float>(weight_);
+    for (int i = rank(); i < binSums(); i += size()) shared_.by_height[i] *= weight;
+    team_.sync();
+  }
+
   FIELD_PHENOTYPING_HD void clear(double* values, int count) const {
     for (int i = rank(); i < count; i += size()) values[i] = 0.0;
   }
+  /// Numbers from by_height on that are sums over the points.
+  FIELD_PHENOTYPING_HD int binSums() const {
+    return padded_ * (kHeightPowers + 1 + kCrossSectionSize + padded_);
+  }
   FIELD_PHENOTYPING_HD void clearBins() const {
-    const int count = padded_ * (kHeightPowers + 1 + kCrossSectionSize + padded_);
-    for (int i = rank(); i < count; i += size()) shared_.by_height[i] = 0.0F;
+    for (int i = rank(); i < binSums(); i += size()) shared_.by_height[i] = 0.0F;
   }
 
   /// Adds to what lies at the bins of a pack.
@@ -889,7 +920,7 @@ class SurfaceMixtureSolver {
     if (rank() == 0) {
       const double outlier_share = shareAt(trial_odds_);
       shared_.matrix[unknowns_ * unknowns_ - 1] =
-          (points_.count + kPseudoPoints) * outlier_share * (1.0 - outlier_share) -
+          (weight_ * points_.count + kPseudoPoints) * outlier_share * (1.0 - outlier_share) -
           observed * sums.doubt;
     }
     team_.sync();
@@ -911,8 +942,9 @@ class SurfaceMixtureSolver {
           smoothness_ * ((next - log_shares[k]) - (log_shares[k] - before));
     }
     if (rank() == 0) {
-      shared_.right[unknowns_ - 1] = points_.count - sums.members + kPseudoOutliers -
-                                     (points_.count + kPseudoPoints) * shareAt(trial_odds_);
+      const double count = weight_ * points_.count;
+      shared_.right[unknowns_ - 1] =
+          count - sums.members + kPseudoOutliers - (count + kPseudoPoints) * shareAt(trial_odds_);
     }
     team_.sync();
   }
@@ -993,8 +1025,10 @@ class SurfaceMixtureSolver {
     clear(members, mixture::kPatches);
     clearBins();
     team_.sync();
+    double squares = 0.0;
     visitPoints<false>(c, [&](const mixture::PointScratch& point) {
       const mixture::Record& record = *point.record;
+      squares += record.score[localOf(kRadius)] * record.score[localOf(kRadius)];
       const auto at = static_cast<int>(record.patch);
       double* const patch = patches + at * unknowns_;
       if (rank() == 0) {
@@ -1016,6 +1050,12 @@ class SurfaceMixtureSolver {
         }
       });
     });
+    double together = 0.0;
+    for (int at = 0; at < mixture::kPatches; ++at) {
+      const double score = patches[at * unknowns_ + kRadius];
+      together += score * score;
+    }
+    togetherness_ = together / squares;
     addStiffness(sums);
     if (rank() == 0) {
       // The noise is known from the whole of a point.
@@ -1041,7 +1081,7 @@ class SurfaceMixtureSolver {
       const double* const b = shared_.moved + at % kCrossSectionSize * mixture::kPatches;
       double sum = 0.0;
       for (int i = 0; i < mixture::kPatches; ++i) sum += a[i] * b[i];
-      fit.patches[at] = sum;
+      fit.patches[at] = weight_ * weight_ * sum;
     }
     fillParameters(sums.known, prior_);
     teamFactor(team_, shared_.matrix, kCrossSectionSize);
@@ -1065,8 +1105,11 @@ class SurfaceMixtureSolver {
   CrossSectionVector parameters_;
   double smoothness_ = 0.0;  // inverse variance of the difference of neighbours
   double share_scale_ = 1.0;
-  double outlier_odds_;        // of a point, in their logarithm
-  double trial_odds_;          // the same where the sums are taken
+  double weight_ = 1.0;        // of a point
+  double togetherness_ = 1.0;  // how much patches of the surface depart from it, in what as many
+                               // points would that know nothing of each other
+  double outlier_odds_ = 0.0;  // of a point, in their logarithm
+  double trial_odds_ = 0.0;    // the same where the sums are taken
   double fitted_shape_ = 0.0;  // parameters that the points, not the priors, decide
   double fitted_ = 0.0;        // those, and what the shares take from the noise
   // Where the sums were taken.
@@ -1085,8 +1128,8 @@ FIELD_PHENOTYPING_HD void fitSurfaceMixture(const Team& team, const CrossSection
   SurfaceMixtureSolver<Team> solver(team, points,
                                     start.shapeless ? ofCircle(task.known) : task.known,
                                     task.extent, start, bins, shared, of_points);
-  const bool converged = solver.run(kMaxSteps);
-  solver.describe(converged, fit);
+  solver.describe(solver.run(kMaxSteps), fit);
+  if (solver.countTogether(start)) solver.describe(solver.run(kMaxSteps), fit);
 }
 
 }  // namespace field_phenotyping
