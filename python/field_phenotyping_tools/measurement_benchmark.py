@@ -386,6 +386,7 @@ def real(bench, _folder, clouds=REAL_CLOUDS):
     columns = (
         ('diameters', figure('n', decimals=0)),
         ('RMSE [mm]', figure('rmse', 1e3)),
+        ('median of |error| [mm]', figure('median_abs_error', 1e3)),
         ('bias [mm]', figure('bias', 1e3)),
         ('coverage', figure('coverage', decimals=3)),
         ('RMSE of 2 sqrt(ab) [mm]', figure('equivalent_rmse', 1e3)),

@@ -91,6 +91,18 @@ void allowFor(const DiameterDoubt& doubt, StemDiameter& diameter) {
   diameter.major = doubt.diameter;
 }
 
+/// As much as the priors have in a diameter it has of the error that all of the block's stems
+/// share.
+void allowForAlike(const CrossSectionPrior& prior, StemDiameter& diameter) {
+  const double alike = 2.0 * prior.radius_alike_stddev * diameter.prior_share;
+  if (!(alike > 0.0)) return;
+  for (Trait* trait : {&diameter.major, &diameter.minor, &diameter.equivalent}) {
+    trait->stddev = std::hypot(trait->stddev, alike);
+  }
+  const double of_volume = 2.0 * alike / diameter.major.value * diameter.volume.value;
+  diameter.volume.stddev = std::hypot(diameter.volume.stddev, of_volume);
+}
+
 /// Of the stems that the block owns, given those of all its stems as they are alone.
 void compareWithStand(const std::vector<std::size_t>& owned, const std::vector<StemDiameter>& alone,
                       std::vector<StemDiameter>& diameters) {
@@ -174,6 +186,7 @@ std::vector<Phenotype> measureBlock(const CompletedBlock& block,
   std::vector<StemDiameter> diameters =
       measureStemDiameters(*block.segmented, owned, parameters, prior.prior, alone, device);
   if (!prior.alone.empty()) compareWithStand(owned, prior.alone, diameters);
+  for (StemDiameter& diameter : diameters) allowForAlike(prior.prior, diameter);
   std::vector<Phenotype> phenotypes(owned.size());
   parallelFor(owned.size(), [&](std::size_t i) {
     phenotypes[i] = measurePlant(block, owned[i], spacings[owned[i]], heights[owned[i]], prior,

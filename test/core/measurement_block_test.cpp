@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <memory>
+#include <numeric>
 #include <random>
 #include <vector>
 
@@ -14,6 +15,7 @@
 #include "field_phenotyping/measurement/row_spacing.hpp"
 #include "field_phenotyping/measurement/stem_coverage.hpp"
 #include "field_phenotyping/measurement/stem_diameter.hpp"
+#include "field_phenotyping/measurement/stem_population.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -552,6 +554,41 @@ TEST(Measurement, RoughFitsUnlikeTheOthersOfTheirBlockAreKnownLessWell) {
       EXPECT_LT(major.stddev, 0.002) << i;
     }
   }
+}
+
+TEST(Measurement, WhatPriorsDecideMayBeWrongForAllStemsAlike) {
+  BlockBuilder builder;
+  builder.soil(kFlat);
+  for (std::uint32_t i = 0; i < 12U; ++i) {
+    PlantTruth truth;
+    truth.points_per_meter = i % 2U == 0U ? 30 : 600;
+    truth.base = {0.1 + 0.15 * i, 1.0};
+    builder.plant(truth, i);
+  }
+  const CompletedBlock completed = builder.completed();
+  const SegmentedBlock& block = *completed.segmented;
+  const MeasurementParameters parameters;
+  std::vector<std::size_t> all(block.plants.size());
+  std::iota(all.begin(), all.end(), std::size_t{0});
+  const CrossSectionPrior weak = weakPrior(parameters);
+  const std::vector<StemDiameter> alone =
+      measureStemDiameters(block, all, parameters, weak, {}, {});
+  std::vector<StemCrossSection> fits;
+  for (const StemDiameter& stem : alone) fits.push_back(stem.section);
+  const CrossSectionPrior prior = populationPrior(fits, weak, PopulationPrior::kShape);
+  const std::vector<StemDiameter> together =
+      measureStemDiameters(block, all, parameters, prior, alone, {});
+  const std::vector<Phenotype> plants = measureBlock(completed, parameters);
+  ASSERT_EQ(plants.size(), together.size());
+  double most = 0.0;
+  for (std::size_t i = 0; i < plants.size(); ++i) {
+    const double alike = 2.0 * prior.radius_alike_stddev * together[i].prior_share;
+    const double stddev = std::hypot(together[i].major.stddev, alike);
+    EXPECT_GE(plants[i].stem_diameter.stddev, 0.999 * stddev) << i;
+    EXPECT_LT(plants[i].stem_diameter.stddev, 1.1 * stddev) << i;
+    most = std::max(most, stddev / together[i].major.stddev);
+  }
+  EXPECT_GT(most, 1.001);
 }
 
 TEST(Measurement, TwoStemsTakenForOneAreSuspected) {

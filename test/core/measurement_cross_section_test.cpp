@@ -31,6 +31,35 @@ struct Scene {
   double tilt = 2.0;        // of the reference axis, standard deviation [deg]
   double outliers = 0.0;    // share
   bool along_beam = false;  // noise along beams from two opposite sides
+  double bumps = 0.0;       // how far the surface departs from its ellipse, root mean square
+};
+
+/// Departure of a surface by some waves round and along it, as of sheaths and grooves.
+class Bumps {
+ public:
+  Bumps(double height, std::mt19937& engine) : height_(height) {
+    std::uniform_real_distribution<double> uniform;
+    for (Wave& wave : waves_) {
+      wave.round = std::floor(3.0 + 4.0 * uniform(engine));
+      wave.along = 2.0 * M_PI / (0.05 + 0.15 * uniform(engine));
+      wave.phase = 2.0 * M_PI * uniform(engine);
+    }
+  }
+  double at(double angle, double height) const {
+    double sum = 0.0;
+    for (const Wave& wave : waves_) {
+      sum += std::cos(wave.round * angle + wave.along * height + wave.phase);
+    }
+    return height_ * sum * std::sqrt(2.0 / kWaves);
+  }
+
+ private:
+  static constexpr int kWaves = 4;
+  struct Wave {
+    double round = 0.0, along = 0.0, phase = 0.0;
+  };
+  double height_;
+  Wave waves_[kWaves];
 };
 
 struct Sample {
@@ -57,6 +86,8 @@ Sample makeSample(const Scene& scene, std::uint32_t seed) {
                              std::tan(scene.tilt * kDegree * normal(engine)));
   const Eigen::Rotation2Dd turn(sample.angle);
   const Eigen::Vector2d beam(std::cos(sample.view), std::sin(sample.view));
+  std::mt19937 bump_engine(seed + 1U);
+  const Bumps bumps(scene.bumps, bump_engine);
   while (static_cast<int>(sample.points.size()) < scene.points) {
     const double height = scene.span * (uniform(engine) - 0.5);
     const double scale = 1.0 + scene.taper * height;
@@ -68,7 +99,9 @@ Sample makeSample(const Scene& scene, std::uint32_t seed) {
     } else {
       const double t = sample.view - sample.angle + scene.arc * kDegree * (uniform(engine) - 0.5);
       angle = t + sample.angle;
-      point = turn * Eigen::Vector2d(scale * a * std::cos(t), scale * b * std::sin(t));
+      const double out = bumps.at(t, height);
+      point =
+          turn * Eigen::Vector2d((scale * a + out) * std::cos(t), (scale * b + out) * std::sin(t));
       if (scene.along_beam) {
         // A beam hits a piece of surface as often as the piece is wide across the beam.
         const Eigen::Vector2d normal_there =
@@ -417,6 +450,26 @@ TEST(CrossSection, NoiseAlongTheBeamFromTwoSides) {
   EXPECT_LT(score.rmse, 1.2);
 }
 
+TEST(CrossSection, ManyPointsOfASurfaceThatIsNoEllipse) {
+  Scene scene;
+  scene.diameter = 0.030;
+  scene.noise = 0.001;
+  scene.points = 2500;
+  scene.span = 0.4;
+  scene.bumps = 0.001;
+  const Score round = printed("1 mm off an ellipse, all round", scene, {}, 20);
+  EXPECT_LT(round.rmse, 0.3);
+  EXPECT_GT(round.coverage, 0.88);
+  // Where every point is taken for one that knows nothing of the others the root mean square error
+  // is 9.9 mm, coverage 0.19, and half of the fits do not converge.
+  scene.bumps = 0.0025;
+  scene.arc = 110.0;
+  const Score part = printed("2.5 mm off an ellipse, arc 110", scene, {}, 50);
+  EXPECT_LT(part.rmse, 7.5);
+  EXPECT_GT(part.coverage, 0.65);
+  EXPECT_LE(part.failed, 3);
+}
+
 TEST(CrossSection, PoorReferenceAxis) {
   Scene scene;
   scene.offset = 0.008;
@@ -483,6 +536,26 @@ TEST(CrossSection, StartsFromAnotherFit) {
     square += std::pow((warm.major.value - cold.major.value) / cold.major.stddev, 2) / kTrials;
   }
   EXPECT_LT(std::sqrt(square), 0.15);
+}
+
+TEST(CrossSection, StaysWhereItEnded) {
+  for (const double noise : {0.001, 0.003, 0.005}) {
+    Scene scene;
+    scene.noise = noise;
+    scene.outliers = 0.05;
+    for (std::uint32_t seed = 0; seed < 10U; ++seed) {
+      const Sample sample = makeSample(scene, seed);
+      const CrossSectionPrior prior;
+      // Once more, for the first start gave other bins; these may differ a little, too.
+      const StemCrossSection first = fitStemCrossSection(sample.points, prior);
+      const StemCrossSection fit = fitStemCrossSection(sample.points, prior, first);
+      ASSERT_TRUE(fit.converged) << seed;
+      const StemCrossSection again = fitStemCrossSection(sample.points, prior, fit);
+      EXPECT_NEAR(again.major.value, fit.major.value, 0.1 * fit.major.stddev) << seed;
+      EXPECT_NEAR(again.major.stddev, fit.major.stddev, 0.1 * fit.major.stddev) << seed;
+      EXPECT_NEAR(again.outlier_share, fit.outlier_share, 0.002) << seed;
+    }
+  }
 }
 
 TEST(CrossSection, DoesNotStartFromAFitOfAHalfSeenStem) {

@@ -65,6 +65,17 @@ TEST(Population, DiameterIsExpectedLooselyUnlessAskedFor) {
   EXPECT_LT(prior.taper.stddev, weak.taper.stddev);
 }
 
+TEST(Population, WhatPriorsDecidedMayBeWrongAlike) {
+  const CrossSectionPrior weak;
+  std::vector<StemCrossSection> fits = drawFits(50, 1.0, 2U, weak);
+  const CrossSectionPrior by_points = populationPrior(fits, weak, PopulationPrior::kShape);
+  EXPECT_EQ(by_points.radius_alike_stddev, 0.0);
+  for (StemCrossSection& fit : fits) fit.prior_share = 0.5;
+  const CrossSectionPrior by_priors = populationPrior(fits, weak, PopulationPrior::kShape);
+  EXPECT_NEAR(by_priors.radius_alike_stddev, 0.15 * by_priors.radius.value, 1e-9);
+  EXPECT_EQ(by_priors.radius.stddev, by_points.radius.stddev);
+}
+
 TEST(Population, FewOrPoorFitsTeachNothing) {
   const CrossSectionPrior weak;
   std::vector<StemCrossSection> fits = drawFits(5, 1.0, 3U, weak);

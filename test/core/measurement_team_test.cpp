@@ -185,8 +185,9 @@ TEST(TeamCholesky, SolvesAsEigenWhateverTheTeam) {
 }
 
 /// Points of a stem, and some of a leaf.
+/// @param bump how far, in the upper half, every other sixth of the stem is off its ellipse
 std::vector<Eigen::Vector3d> stemPoints(int count, double radius, double noise, double arc,
-                                        unsigned seed) {
+                                        double bump, unsigned seed) {
   std::mt19937 random(seed);
   std::normal_distribution<double> normal;
   std::uniform_real_distribution<double> uniform;
@@ -194,7 +195,9 @@ std::vector<Eigen::Vector3d> stemPoints(int count, double radius, double noise, 
   for (int i = 0; i < count; ++i) {
     const double angle = arc * uniform(random);
     const double height = 0.2 * (uniform(random) - 0.5);
-    const double distance = (i % 12 == 0 ? 2.0 : 1.0) * radius * (1.0 - 0.2 * height);
+    const bool is_off = height > 0.0 && static_cast<int>(angle * 3.0 / M_PI) % 2 == 0;
+    const double distance =
+        (i % 12 == 0 ? 2.0 : 1.0) * radius * (1.0 - 0.2 * height) + (is_off ? bump : 0.0);
     points.emplace_back(1.1 * distance * std::cos(angle) + noise * normal(random) + 0.002,
                         0.9 * distance * std::sin(angle) + noise * normal(random), height);
   }
@@ -239,12 +242,15 @@ TEST(CrossSectionTeam, FitIsThatOfOneThreadBitForBit) {
     int points;
     double noise;  // [m]
     double arc;    // [rad]
+    double bump;   // [m]
     unsigned groups;
   };
-  // The noise of the last one leaves no shape to be seen.
-  for (const Case& c : {Case{30, 0.003, 6.3, 1U}, Case{14, 0.002, 2.5, 2U}, Case{5, 0.003, 6.3, 3U},
-                        Case{9, 0.01, 6.3, 2U}}) {
-    const std::vector<Eigen::Vector3d> points = stemPoints(c.points, 0.012, c.noise, c.arc, 7U);
+  // The noise of the fourth one leaves no shape to be seen; points of the last one count together.
+  for (const Case& c :
+       {Case{30, 0.003, 6.3, 0.0, 1U}, Case{14, 0.002, 2.5, 0.0, 2U}, Case{5, 0.003, 6.3, 0.0, 3U},
+        Case{9, 0.01, 6.3, 0.0, 2U}, Case{120, 0.0005, 6.3, 0.003, 2U}}) {
+    const std::vector<Eigen::Vector3d> points =
+        stemPoints(c.points, 0.012, c.noise, c.arc, c.bump, 7U);
     const CrossSectionPoints places = placesOf(points);
     const bool shapeless = c.noise > 0.005;
     CrossSectionPrior prior;
@@ -253,6 +259,9 @@ TEST(CrossSectionTeam, FitIsThatOfOneThreadBitForBit) {
     const CrossSectionStart start = startCrossSection(places, task);
     const SurfaceMixtureFit alone = fitSurfaceMixture(places, task, start);
     ASSERT_TRUE(alone.has_covariance) << c.points;
+    if (c.bump > 0.0) {
+      EXPECT_LT(alone.freedom, 0.7 * c.points);
+    }
 
     CrossSectionStart by_team_start;
     const SurfaceMixtureFit by_team = fitByTeam(c.groups, places, task, by_team_start);

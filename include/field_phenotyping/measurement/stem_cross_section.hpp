@@ -17,6 +17,8 @@ struct CrossSectionPrior {
   /// one stem, but thick noise along the surface makes it look larger.
   Trait elongation{0.0, 0.05};
   Trait radius;  ///< (a + b) / 2 at height 0 [m]; NaN: from the width of the points
+  double radius_alike_stddev = 0.0;  ///< of what errors of that all stems share [m]; no fit knows
+                                     ///< of it: results have it as far as the priors decide them
   double ellipticity_stddev = 0.05;  ///< of each component of (a - b) / (a + b); 0: a circle
   Trait taper{-0.15, 0.25};          ///< relative change of radius with height [1/m]
   Trait taper_change{0.0, 0.2};      ///< relative change with the square of height [1/m^2]
@@ -64,7 +66,9 @@ struct StemCrossSection {
 /// The covariance is the inverse of the observed information (Louis 1982), with the shares of the
 /// sides integrated out; it is never less than the Kanatani-Cramer-Rao bound, and widened where
 /// patches of the surface disagree by more, for arcs of half of a stem and more for shorter ones,
-/// and for what is not known of the noise along the surface.
+/// and for what is not known of the noise along the surface. Where patches disagree by far more
+/// than chance, points count for less than one in the fit itself: thousands of points of a surface
+/// that is no ellipse do not outweigh what is known of stems.
 ///
 /// Priors keep sparse and half-seen stems sane: those of `prior`, weak ones by default, and weak
 /// ones on tilt, curvature and twist. As the larger of two noisy semi-axes reads too large, `major`

@@ -15,10 +15,14 @@ namespace field_phenotyping {
 /// mixing distribution (Kiefer and Wolfowitz 1956), here penalised so that shape and shares have
 /// one posterior with a normal approximation.
 ///
-/// Newton's method on all parameters and shares at once, with the observed information of Louis
-/// (1982), else a step of expectation maximisation; each step raises the posterior. The noise is
-/// found by residual maximum likelihood. Bins are no finer than noise of a fiftieth of the radius
-/// needs: thinner noise is found too large, by up to half.
+/// Newton's method on all parameters, shares and the share of outliers at once, with the observed
+/// information of Louis (1982), or with as much of the complete information as makes it positive;
+/// each step raises the posterior. It ends where a step of Newton's moves the surface by less than
+/// a thousandth of the radius, which leaves a hundredth of that or less. The noise is found by
+/// residual maximum likelihood. Where points depart from the surface together, patch by patch and
+/// by more than chance, the stem is no exact ellipse; then the fit is done anew, with points that
+/// count for as much less than one as they know of each other. Bins are no finer than noise of a
+/// fiftieth of the radius needs: thinner noise is found too large, by up to half.
 ///
 /// Thread-safe, deterministic.
 SurfaceMixtureFit fitSurfaceMixture(const CrossSectionPoints& points, const CrossSectionTask& task,

@@ -46,6 +46,12 @@ constexpr int kSlabs = 3;
 constexpr int kPatches = kSectors * kSlabs;
 constexpr int kShapePairs = pairOf(kLocalShapeSize, 0);
 
+/// What is solved for: the parameters, the logarithms of the bins' shares, that of the odds of
+/// being an outlier.
+FIELD_PHENOTYPING_HD constexpr int unknownsOf(int bins) {
+  return kCrossSectionSize + bins + 1;
+}
+
 FIELD_PHENOTYPING_HD inline double blurOf(const CrossSectionVector& start) {
   return largerOf(exponential(start[kNoise]) / start[kRadius], kFinest);
 }
@@ -128,7 +134,7 @@ struct SharedScratch {
   double* trial;       // the same where the sums are taken
   double* shares;      // exponentials of those, relative to the largest
   double* stiffness;   // kShapePairs: information of a point that is known to be of it
-  // For each unknown: the parameters, then the bins.
+  // For each unknown: the parameters, the bins, the outliers.
   double* right;
   double* wished;
   double* matrix;   // unknowns x unknowns
@@ -147,14 +153,14 @@ struct SharedScratch {
 FIELD_PHENOTYPING_HD constexpr std::size_t sharedScratchSize(int bins) {
   const auto n = static_cast<std::size_t>(bins);
   const auto padded = static_cast<std::size_t>(paddedBins(bins));
-  const std::size_t unknowns = n + kCrossSectionSize;
+  const auto unknowns = static_cast<std::size_t>(unknownsOf(bins));
   const std::size_t floats = padded * (6U + kHeightPowers + kCrossSectionSize + padded);
   return kSumsSize + kCrossSectionSize * kPatches + n * (5U + kShapePairs) +
          unknowns * (2U + unknowns + kCrossSectionSize) + (floats + 1U) / 2U;
 }
 FIELD_PHENOTYPING_HD inline SharedScratch sharedScratchAt(double* memory, int bins) {
   double* at = memory;
-  const int unknowns = bins + kCrossSectionSize;
+  const int unknowns = unknownsOf(bins);
   const int padded = paddedBins(bins);
   SharedScratch s;
   s.sums = reinterpret_cast<Sums*>(takeFrom(at, kSumsSize));
@@ -228,12 +234,11 @@ class SurfaceMixtureSolver {
         extent_(extent),
         bins_(bins),
         padded_(mixture::paddedBins(bins)),
-        unknowns_(kCrossSectionSize + bins),
+        unknowns_(mixture::unknownsOf(bins)),
         shared_(mixture::sharedScratchAt(shared, bins)),
         of_points_(of_points),
         information_(team),
-        parameters_(start.parameters),
-        outlier_share_(start.outlier_share) {
+        parameters_(start.parameters) {
     // Logarithms of the shares change by this much over as much of the surface as the noise blurs:
     // the end of an arc may be sharp, noise in how many points there are may not.
     constexpr double kJump = 2.5;
@@ -242,35 +247,29 @@ class SurfaceMixtureSolver {
       const Direction u = directionOf(k, bins_);
       shared_.x[k] = u.x;
       shared_.y[k] = u.y;
-      shared_.log_shares[k] = 0.0;
-      shared_.wished[kCrossSectionSize + k] = 0.0;
     }
-    team_.sync();
-    prior_ = ParameterPrior(known_, extent_, parameters_);
-    evaluate(parameters_, 0.0);
-    constexpr double kLeastShare = 0.05;  // of an even one
-    const double even = shared_.sums->members / bins_;
-    for (int k = rank(); k < bins_; k += size()) {
-      shared_.log_shares[k] = logarithm(largerOf(occupancyOf(k) / even, kLeastShare));
-    }
-    team_.sync();
-    update();
-    evaluate(parameters_, 0.0);
+    beginAt(start);
   }
 
-  /// Up to `steps` steps; true once nothing moves.
+  /// Up to `steps` steps; true once what is left of them is negligible.
   FIELD_PHENOTYPING_HD bool run(int steps) {
-    constexpr double kConverged = 1e-5;       // step, relative to the radius
-    constexpr double kConvergedNoise = 1e-4;  // of its logarithm
+    // A step of Newton's method that is as small leaves next to nothing: relative to the radius,
+    // and of the noise's logarithm.
+    constexpr double kConverged = 1e-3;
+    constexpr double kConvergedNoise = 5e-3;
+    // Where the information had to be made positive steps are small long before that.
+    constexpr double kStill = 1e-5;
+    constexpr double kStillNoise = 1e-4;
     constexpr int kHalvings = 8;
     constexpr double kMostLogStep = 3.0;  // of a share
-    // What depends on the parameters but is taken as given, as the share of the outliers, follows
-    // them in the first steps only, and moves the log-posterior by up to so much.
+    // What depends on the parameters but is taken as given follows them in the first steps only.
     constexpr int kSettling = 6;
-    constexpr double kSlack = 1.0;
     constexpr double kRounding = 1e-3;  // of the log-posterior: bins that hardly count are left out
     for (int step = 1; step <= steps; ++step) {
-      if (!factorInformation()) return false;
+      const bool settled = step > kSettling;
+      if (!settled) follow();
+      const double complete = factorInformation();
+      if (complete > 1.0) return false;
       fillScore();
       teamSolve(team_, shared_.matrix, unknowns_, shared_.right, shared_.wished);
       CrossSectionVector move;
@@ -286,42 +285,66 @@ class SurfaceMixtureSolver {
       limitStep(parameters_, move);
       double share_of_step = smallerOf(1.0, normOf(move) / length);
       share_of_step *= smallerOf(1.0, kMostLogStep / largerOf(share_of_step * most, 1e-300));
-      const bool settled = step > kSettling;
-      const double least = value_ - (settled ? kRounding : kSlack);
+      const bool is_newtons = complete == 0.0 && share_of_step == 1.0;
+      const bool is_last =
+          movedBy(move) < (is_newtons ? kConverged : kStill) * parameters_[kRadius] &&
+          magnitudeOf(move[kNoise]) < (is_newtons ? kConvergedNoise : kStillNoise);
+      if (is_last) {
+        take(sumOf(parameters_, move), share_of_step);
+        return true;
+      }
+      const double least = posteriorAt(parameters_) - kRounding;
       CrossSectionVector next = sumOf(parameters_, move);
       evaluate(next, share_of_step);
-      for (int halving = 0; !(value_ >= least) && halving < kHalvings; ++halving) {
+      for (int halving = 0; !(posteriorAt(next) >= least) && halving < kHalvings; ++halving) {
         for (double& value : move.values) value *= 0.5;
         share_of_step *= 0.5;
         next = sumOf(parameters_, move);
         evaluate(next, share_of_step);
       }
-      parameters_ = next;
-      for (int k = rank(); k < bins_; k += size()) shared_.log_shares[k] = shared_.trial[k];
-      team_.sync();
-      if (!settled) update();
-      if (step == kSettling) evaluate(parameters_, 0.0);
-      if (movedBy(move) < kConverged * parameters_[kRadius] &&
-          magnitudeOf(move[kNoise]) < kConvergedNoise) {
-        return true;
-      }
+      take(next, share_of_step);
+      if (settled && !(posteriorAt(next) >= least)) return false;  // at a limit of the parameters
     }
     return false;
+  }
+
+  FIELD_PHENOTYPING_HD_ONCE void beginAt(const CrossSectionStart& start) {
+    parameters_ = start.parameters;
+    outlier_odds_ = logarithm(start.outlier_share / (1.0 - start.outlier_share));
+    trial_odds_ = outlier_odds_;
+    team_.sync();  // all may still be read
+    clear(shared_.trial, bins_);
+    clear(shared_.wished, unknowns_);
+    team_.sync();
+    findShares();
+    evaluate(parameters_, 0.0);
+  }
+
+  /// Where points depart from the surface together, as no stem is an exact ellipse, a point counts
+  /// for less than one, from here on. To be called after describe(). @return whether that is so
+  FIELD_PHENOTYPING_HD bool countTogether(const CrossSectionStart& start) {
+    constexpr double kByChance = 2.0;  // of exact ellipses it is less
+    // Of thicker noise most points of a patch are another's.
+    const double patch = mixture::kTwoPi / mixture::kSectors * parameters_[kRadius];
+    if (!(togetherness_ > kByChance && exponential(parameters_[kNoise]) < patch)) return false;
+    weight_ = 1.0 / (1.0 + togetherness_ - kByChance);
+    beginAt(start);
+    return true;
   }
 
   /// @param fit the same memory for all members, who may read it afterwards
   FIELD_PHENOTYPING_HD void describe(bool converged, SurfaceMixtureFit& fit) {
     const double members = shared_.sums->members;
     const double arc_coverage = arcCoverage();
-    const bool has_covariance = isFinite(parameters_) && factorInformation();
+    const bool has_covariance = isFinite(parameters_) && factorInformation() <= 1.0;
     if (has_covariance) addCovariance(fit);
     if (rank() == 0) {
       fit.converged = converged;
       fit.has_covariance = has_covariance;
       fit.parameters = parameters_;
       fit.radius_prior_variance = 1.0 / prior_.weight[kRadius];
-      fit.outlier_share = outlier_share_;
-      fit.surface_points = members;
+      fit.outlier_share = shareAt(outlier_odds_);
+      fit.surface_points = members / weight_;
       fit.freedom = members - fitted_shape_ + 0.5 * prior_.weight[kNoise];
       fit.arc_coverage = arc_coverage;
     }
@@ -331,6 +354,9 @@ class SurfaceMixtureSolver {
  private:
   static constexpr double kRidge = 1e-3;  // inverse variance of a share's logarithm: none is
                                           // exactly zero
+  // Keep the share of the outliers off 0 and 1.
+  static constexpr double kPseudoOutliers = 0.5;
+  static constexpr double kPseudoPoints = 5.0;
 
   /// What is the same for all points.
   struct Constants {
@@ -338,10 +364,9 @@ class SurfaceMixtureSolver {
     // Inverse variances of the noise along and across the direction of a place.
     double along;
     double across;
-    double log_scale;    // of the density of a place, with its share's logarithm
-    double log_outlier;  // density of outliers, in its logarithm
-    double lowest;       // of the points' heights
-    double slab;         // [m]
+    double log_outlier;   // density of outliers, in its logarithm
+    double lowest = 0.0;  // of the points' heights
+    double slab = 1e6;    // [m] of patches
   };
 
   FIELD_PHENOTYPING_HD int rank() const { return static_cast<int>(team_.rank()); }
@@ -379,10 +404,10 @@ class SurfaceMixtureSolver {
     c.along = exponential(-2.0 * (p[kNoise] + p[kElongation]));
     c.across = exponential(-2.0 * (p[kNoise] - p[kElongation]));
     constexpr double kPi = 0.5 * mixture::kTwoPi;
-    const double log_scale = logarithm(1.0 - outlier_share_) - logarithm(mixture::kTwoPi) -
+    const double outlier_share = shareAt(trial_odds_);
+    const double log_scale = logarithm(1.0 - outlier_share) - logarithm(mixture::kTwoPi) -
                              2.0 * p[kNoise] - (top + logarithm(sum));
-    c.log_outlier =
-        logarithm(outlier_share_ / kPi) - 2.0 * logarithm(largerOf(extent_.reach, 1e-9));
+    c.log_outlier = logarithm(outlier_share / kPi) - 2.0 * logarithm(largerOf(extent_.reach, 1e-9));
     constexpr float kNever = -1e30F;
     for (int k = rank(); k < padded_; k += size()) {
       const bool is_bin = k < bins_;
@@ -398,6 +423,10 @@ class SurfaceMixtureSolver {
     return c;
   }
 
+  /// The share of what has odds of that logarithm.
+  FIELD_PHENOTYPING_HD static double shareAt(double log_odds) {
+    return 1.0 / (1.0 + exponential(-log_odds));
+  }
   FIELD_PHENOTYPING_HD double shareOf(int k) const { return shared_.shares[k] * share_scale_; }
   /// Weights of a bin, times how likely the points are outliers.
   FIELD_PHENOTYPING_HD double outlyingOf(int k) const {
@@ -616,6 +645,38 @@ class SurfaceMixtureSolver {
     }
   }
 
+  /// Steps to some parameters, and with the shares' logarithms and the outliers' by `share_of_step`
+  /// of shared_.wished.
+  FIELD_PHENOTYPING_HD void take(const CrossSectionVector& p, double share_of_step) {
+    parameters_ = p;
+    for (int k = rank(); k < bins_; k += size()) {
+      shared_.log_shares[k] += share_of_step * shared_.wished[kCrossSectionSize + k];
+    }
+    outlier_odds_ += share_of_step * shared_.wished[unknowns_ - 1];
+    team_.sync();
+  }
+
+  /// The shares after one step of expectation maximisation from even ones.
+  FIELD_PHENOTYPING_HD void findShares() {
+    constexpr double kLeastShare = 0.05;  // of an even one
+    const Constants c = prepare(parameters_);
+    clearBins();
+    team_.sync();
+    double members = 0.0;
+    visitPoints<false>(c, [&](const mixture::PointScratch& point) {
+      members += point.record->member;
+      const auto lanes = team_.lanes();
+      forEachCandidate(point, group(), groups(), [&](int k) {
+        addTo(lanes, shared_.by_height + k, lanes.load(point.weights + k, 0U, kLanes));
+      });
+    });
+    const double even = members / bins_;
+    for (int k = rank(); k < bins_; k += size()) {
+      shared_.log_shares[k] = logarithm(largerOf(occupancyOf(k) / even, kLeastShare));
+    }
+    team_.sync();
+  }
+
   /// Takes the sums at some parameters, and at the shares' logarithms moved by `share_of_step` of
   /// shared_.wished; sets what is evaluated_.
   FIELD_PHENOTYPING_HD_ONCE void evaluate(const CrossSectionVector& p, double share_of_step) {
@@ -624,11 +685,9 @@ class SurfaceMixtureSolver {
       shared_.trial[k] =
           shared_.log_shares[k] + share_of_step * shared_.wished[kCrossSectionSize + k];
     }
+    trial_odds_ = outlier_odds_ + share_of_step * shared_.wished[unknowns_ - 1];
     team_.sync();
     const Constants c = prepare(p);
-    evaluated_ = p;
-    evaluated_prior_ = prior_;
-    evaluated_fitted_ = fitted_;
     mixture::Sums& sums = *shared_.sums;
     clear(reinterpret_cast<double*>(&sums), mixture::kSumsSize);
     for (int k = rank(); k < bins_; k += size()) {
@@ -649,6 +708,7 @@ class SurfaceMixtureSolver {
     clearBins();
     team_.sync();
     visitPoints<true>(c, [&](const mixture::PointScratch& point) { add(point, sums); });
+    if (weight_ < 1.0) weigh(sums);
     addStiffness(sums);
 
     double jumps = 0.0;
@@ -658,16 +718,35 @@ class SurfaceMixtureSolver {
       jumps += jump * jump;
       squares += shared_.trial[k] * shared_.trial[k];
     }
-    value_ = sums.log_density + prior_.valueAt(p) + fitted_ * p[kNoise] -  // residual likelihood
-             (0.5 * smoothness_ * jumps + 0.5 * kRidge * squares);
+    const double outlier_share = shareAt(trial_odds_);
+    likelihood_ = sums.log_density - (0.5 * smoothness_ * jumps + 0.5 * kRidge * squares) +
+                  kPseudoOutliers * logarithm(outlier_share) +
+                  (kPseudoPoints - kPseudoOutliers) * logarithm(1.0 - outlier_share);
+  }
+
+  /// Logarithm of the residual posterior of the parameters where the sums were taken.
+  FIELD_PHENOTYPING_HD double posteriorAt(const CrossSectionVector& evaluated) const {
+    return likelihood_ + prior_.valueAt(evaluated) + fitted_ * evaluated[kNoise];
+  }
+
+  /// Makes sums over the points ones over as many as they count for.
+  FIELD_PHENOTYPING_HD void weigh(mixture::Sums& sums) const {
+    auto* const all = reinterpret_cast<double*>(&sums);
+    for (int i = rank(); i < mixture::kSumsSize; i += size()) all[i] *= weight_;
+    const auto weight = static_cast<float>(weight_);
+    for (int i = rank(); i < binSums(); i += size()) shared_.by_height[i] *= weight;
+    team_.sync();
   }
 
   FIELD_PHENOTYPING_HD void clear(double* values, int count) const {
     for (int i = rank(); i < count; i += size()) values[i] = 0.0;
   }
+  /// Numbers from by_height on that are sums over the points.
+  FIELD_PHENOTYPING_HD int binSums() const {
+    return padded_ * (kHeightPowers + 1 + kCrossSectionSize + padded_);
+  }
   FIELD_PHENOTYPING_HD void clearBins() const {
-    const int count = padded_ * (kHeightPowers + 1 + kCrossSectionSize + padded_);
-    for (int i = rank(); i < count; i += size()) shared_.by_height[i] = 0.0F;
+    for (int i = rank(); i < binSums(); i += size()) shared_.by_height[i] = 0.0F;
   }
 
   /// Adds to what lies at the bins of a pack.
@@ -750,13 +829,10 @@ class SurfaceMixtureSolver {
     team_.sync();
   }
 
-  /// What is taken as given in the next evaluation: priors, share of outliers, freedom.
-  FIELD_PHENOTYPING_HD_ONCE void update() {
+  /// What is taken as given follows the parameters: priors, freedom.
+  FIELD_PHENOTYPING_HD_ONCE void follow() {
     prior_ = ParameterPrior(known_, extent_, parameters_);
-    constexpr double kPseudoOutliers = 0.5, kPseudoPoints = 5.0;  // keep the share off 0 and 1
-    outlier_share_ =
-        (points_.count - shared_.sums->members + kPseudoOutliers) / (points_.count + kPseudoPoints);
-    fillParameters(shared_.sums->known, evaluated_prior_);
+    fillParameters(shared_.sums->known, prior_);
     teamFactor(team_, shared_.matrix, kCrossSectionSize);
     fitted_shape_ = fittedParameters(team_, shared_.matrix, prior_, shared_.right);
     fitted_ = fitted_shape_ + fittedByShares();
@@ -796,14 +872,14 @@ class SurfaceMixtureSolver {
   }
 
   /// The observed information, or as much of the complete one with it as makes it positive,
-  /// factored. @return whether it is
-  FIELD_PHENOTYPING_HD_ONCE bool factorInformation() const {
+  /// factored. @return how much of it; above 1 where none does
+  FIELD_PHENOTYPING_HD_ONCE double factorInformation() const {
     constexpr double kSharesOfComplete[] = {0.0, 0.1, 0.25, 0.5, 1.0};
     for (const double share : kSharesOfComplete) {
       fillInformation(1.0 - share);
-      if (teamFactor(team_, shared_.matrix, unknowns_)) return true;
+      if (teamFactor(team_, shared_.matrix, unknowns_)) return share;
     }
-    return false;
+    return 2.0;
   }
 
   /// The complete information less `observed` times what is missing of it (Louis 1982).
@@ -812,8 +888,8 @@ class SurfaceMixtureSolver {
     const mixture::Sums& sums = *shared_.sums;
     if (rank() == 0) {
       forEachInformation([&](int i, int j, int sum) {
-        shared_.matrix[i * unknowns_ + j] = sums.known[sum] - observed * sums.missing[sum] +
-                                            (i == j ? evaluated_prior_.weight[i] : 0.0);
+        shared_.matrix[i * unknowns_ + j] =
+            sums.known[sum] - observed * sums.missing[sum] + (i == j ? prior_.weight[i] : 0.0);
       });
     }
     for (int i = group(); i < kCrossSectionSize; i += groups()) {
@@ -822,6 +898,7 @@ class SurfaceMixtureSolver {
         row[k] = -observed * (static_cast<double>(shared_.cross[i * padded_ + k]) -
                               sums.cross_outliers[i] * shareOf(k));
       }
+      if (lane() == 0) row[bins_] = observed * sums.cross_outliers[i];
     }
     for (int k = group(); k < bins_; k += groups()) {
       double* const row = shared_.matrix + (kCrossSectionSize + k) * unknowns_ + kCrossSectionSize;
@@ -838,6 +915,13 @@ class SurfaceMixtureSolver {
         if (l == k + 1 || l == k + bins_ - 1) complete -= smoothness_;
         row[l] = complete - observed * missing;
       }
+      if (lane() == 0) row[bins_] = observed * (outlyingOf(k) - sums.doubt * share);
+    }
+    if (rank() == 0) {
+      const double outlier_share = shareAt(trial_odds_);
+      shared_.matrix[unknowns_ * unknowns_ - 1] =
+          (weight_ * points_.count + kPseudoPoints) * outlier_share * (1.0 - outlier_share) -
+          observed * sums.doubt;
     }
     team_.sync();
   }
@@ -846,8 +930,8 @@ class SurfaceMixtureSolver {
   FIELD_PHENOTYPING_HD void fillScore() const {
     const mixture::Sums& sums = *shared_.sums;
     for (int i = rank(); i < kCrossSectionSize; i += size()) {
-      shared_.right[i] = sums.score[i] + evaluated_prior_.scoreOf(evaluated_, i) +
-                         (i == kNoise ? evaluated_fitted_ : 0.0);
+      shared_.right[i] =
+          sums.score[i] + prior_.scoreOf(parameters_, i) + (i == kNoise ? fitted_ : 0.0);
     }
     const double* const log_shares = shared_.trial;
     for (int k = rank(); k < bins_; k += size()) {
@@ -856,6 +940,11 @@ class SurfaceMixtureSolver {
       shared_.right[kCrossSectionSize + k] =
           occupancyOf(k) - sums.members * shareOf(k) - kRidge * log_shares[k] +
           smoothness_ * ((next - log_shares[k]) - (log_shares[k] - before));
+    }
+    if (rank() == 0) {
+      const double count = weight_ * points_.count;
+      shared_.right[unknowns_ - 1] =
+          count - sums.members + kPseudoOutliers - (count + kPseudoPoints) * shareAt(trial_odds_);
     }
     team_.sync();
   }
@@ -895,8 +984,8 @@ class SurfaceMixtureSolver {
         fit.posterior[i * kCrossSectionSize + r] = column[i];
       }
     }
-    // What is taken as given may have followed the parameters since.
     for (int k = rank(); k < bins_; k += size()) shared_.trial[k] = shared_.log_shares[k];
+    trial_odds_ = outlier_odds_;
     team_.sync();
     Constants c = prepare(parameters_);
     c.lowest = points_.places[2];
@@ -931,15 +1020,21 @@ class SurfaceMixtureSolver {
     double* const patches = shared_.matrix;
     static_assert(mixture::kPatches <= kCrossSectionSize + mixture::kLeastBins, "patches fit in");
     clear(patches, mixture::kPatches * unknowns_);
+    const double outlier_share = shareAt(outlier_odds_);
     double* const members = shared_.moved;  // of each patch
     clear(members, mixture::kPatches);
     clearBins();
     team_.sync();
+    double squares = 0.0;
     visitPoints<false>(c, [&](const mixture::PointScratch& point) {
       const mixture::Record& record = *point.record;
+      squares += record.score[localOf(kRadius)] * record.score[localOf(kRadius)];
       const auto at = static_cast<int>(record.patch);
       double* const patch = patches + at * unknowns_;
-      if (rank() == 0) members[at] += record.member;
+      if (rank() == 0) {
+        members[at] += record.member;
+        patch[unknowns_ - 1] += 1.0 - record.member - outlier_share;
+      }
       for (int i = rank(); i < kCrossSectionSize; i += size()) {
         patch[i] += record.powers[powerOf(i)] * record.score[localOf(i)];
       }
@@ -955,6 +1050,12 @@ class SurfaceMixtureSolver {
         }
       });
     });
+    double together = 0.0;
+    for (int at = 0; at < mixture::kPatches; ++at) {
+      const double score = patches[at * unknowns_ + kRadius];
+      together += score * score;
+    }
+    togetherness_ = together / squares;
     addStiffness(sums);
     if (rank() == 0) {
       // The noise is known from the whole of a point.
@@ -980,7 +1081,7 @@ class SurfaceMixtureSolver {
       const double* const b = shared_.moved + at % kCrossSectionSize * mixture::kPatches;
       double sum = 0.0;
       for (int i = 0; i < mixture::kPatches; ++i) sum += a[i] * b[i];
-      fit.patches[at] = sum;
+      fit.patches[at] = weight_ * weight_ * sum;
     }
     fillParameters(sums.known, prior_);
     teamFactor(team_, shared_.matrix, kCrossSectionSize);
@@ -1004,14 +1105,15 @@ class SurfaceMixtureSolver {
   CrossSectionVector parameters_;
   double smoothness_ = 0.0;  // inverse variance of the difference of neighbours
   double share_scale_ = 1.0;
-  double outlier_share_;
+  double weight_ = 1.0;        // of a point
+  double togetherness_ = 1.0;  // how much patches of the surface depart from it, in what as many
+                               // points would that know nothing of each other
+  double outlier_odds_ = 0.0;  // of a point, in their logarithm
+  double trial_odds_ = 0.0;    // the same where the sums are taken
   double fitted_shape_ = 0.0;  // parameters that the points, not the priors, decide
   double fitted_ = 0.0;        // those, and what the shares take from the noise
-  // Where the sums were taken, and with what.
-  double value_ = 0.0;  // logarithm of the posterior
-  CrossSectionVector evaluated_;
-  ParameterPrior evaluated_prior_;
-  double evaluated_fitted_ = 0.0;
+  // Where the sums were taken.
+  double likelihood_ = 0.0;  // its logarithm, with the shares' prior
 };
 
 /// @param bins binsOf() the start; the memory is as for SurfaceMixtureSolver
@@ -1026,8 +1128,8 @@ FIELD_PHENOTYPING_HD void fitSurfaceMixture(const Team& team, const CrossSection
   SurfaceMixtureSolver<Team> solver(team, points,
                                     start.shapeless ? ofCircle(task.known) : task.known,
                                     task.extent, start, bins, shared, of_points);
-  const bool converged = solver.run(kMaxSteps);
-  solver.describe(converged, fit);
+  solver.describe(solver.run(kMaxSteps), fit);
+  if (solver.countTogether(start)) solver.describe(solver.run(kMaxSteps), fit);
 }
 
 }  // namespace field_phenotyping
