@@ -252,13 +252,18 @@ std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
   std::vector<std::uint8_t> explained(scene.points.size(), 0U);
   constexpr float kStep = 0.02F;  // [m]
   constexpr float kReach = 3.0F;  // standard deviations beyond the surface
-  for (const GrownStem& stem : stems) {
-    const StemAxis& axis = stem.midline.axis;
+  std::vector<std::vector<std::uint32_t>> near(stems.size());
+  parallelFor(stems.size(), [&](std::size_t k) {
+    const Midline& midline = stems[k].midline;
+    const StemAxis& axis = midline.axis;
     for (float s = 0.0F; s <= axis.length(); s += kStep) {
-      const float reach = axis.radiusAt(s) + kReach * stem.midline.spread;
+      const float reach = axis.radiusAt(s) + kReach * midline.spread;
       scene.grid.forEachWithin(axis.pointAt(s), std::hypot(reach, 0.5F * kStep),
-                               [&](std::uint32_t i, float) { explained[i] = 1U; });
+                               [&](std::uint32_t i, float) { near[k].push_back(i); });
     }
+  });
+  for (const std::vector<std::uint32_t>& of_stem : near) {
+    for (const std::uint32_t i : of_stem) explained[i] = 1U;
   }
   return explained;
 }
