@@ -23,6 +23,7 @@ constexpr float kCandidateCell = 0.1F;   // [m] one lowest point is taken from e
 constexpr float kMinRoughness = 0.002F;  // [m] soil is never smoother than a sensor sees it
 constexpr float kRidgeHeight = 0.15F;    // [m] the local soil stays this near to the block's plane
 constexpr int kMinNodePoints = 6;
+constexpr std::size_t kPointsOfTask = 4096U;  // that are worked together
 
 using Plane = SoilPlane;
 
@@ -349,10 +350,11 @@ std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundMo
   const auto most = static_cast<float>(parameters.ground_distance);
   std::vector<Eigen::Vector3f> feet;     // of what stands on it, seen from above
   std::vector<std::uint32_t> uncertain;  // soil, unless it is such a foot too
+  const std::vector<float> heights = ground.heightsAbove(cloud.points);
   for (std::size_t i = 0; i < cloud.size(); ++i) {
-    const Eigen::Vector3f& p = cloud.points[i];
-    const float height = ground.heightAbove(p);
+    const float height = heights[i];
     if (height >= most + kFoot) continue;  // as most points
+    const Eigen::Vector3f& p = cloud.points[i];
     const float roughness = ground.stddevAt(p.x(), p.y());
     const float highest = std::min(most, 3.0F * std::max(roughness, kUsualRoughness));
     constexpr float kSureSoil = 2.5F;  // standard deviations
@@ -367,10 +369,12 @@ std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundMo
   constexpr float kReach = 0.012F;      // [m] of a foot about what stands on it
   constexpr std::uint32_t kLeast = 2U;  // points that stand on it
   const NeighborGrid grid(feet, kReach);
-  for (const std::uint32_t i : uncertain) {
-    const Eigen::Vector3f& p = cloud.points[i];
-    if (grid.hasWithin({p.x(), p.y(), 0.0F}, kReach, kLeast)) is_ground[i] = 0U;
-  }
+  parallelChunks(uncertain.size(), kPointsOfTask, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) {
+      const Eigen::Vector3f& p = cloud.points[uncertain[k]];
+      if (grid.hasWithin({p.x(), p.y(), 0.0F}, kReach, kLeast)) is_ground[uncertain[k]] = 0U;
+    }
+  });
   return is_ground;
 }
 
@@ -386,11 +390,13 @@ std::vector<std::uint8_t> soilAtFeet(const PointCloud& cloud, const GroundModel&
       feet.emplace_back(p.x(), p.y(), 0.0F);
   }
   const NeighborGrid grid(feet, kReach);
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    if (is_ground[i] == 0U) continue;
-    const Eigen::Vector3f& p = cloud.points[i];
-    if (grid.hasWithin({p.x(), p.y(), 0.0F}, kReach, 1U)) at_feet[i] = 1U;
-  }
+  parallelChunks(cloud.size(), kPointsOfTask, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      if (is_ground[i] == 0U) continue;
+      const Eigen::Vector3f& p = cloud.points[i];
+      if (grid.hasWithin({p.x(), p.y(), 0.0F}, kReach, 1U)) at_feet[i] = 1U;
+    }
+  });
   return at_feet;
 }
 

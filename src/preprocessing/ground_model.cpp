@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "field_phenotyping/common/parallel.hpp"
+
 namespace field_phenotyping {
 
 GroundModel::GroundModel(const Eigen::Vector2f& corner, float spacing, int columns, int rows,
@@ -38,6 +40,15 @@ float GroundModel::interpolate(float x, float y, Value value) const {
   };
   return (1.0F - fv) * ((1.0F - fu) * at(i, j) + fu * at(i1, j)) +
          fv * ((1.0F - fu) * at(i, j1) + fu * at(i1, j1));
+}
+
+std::vector<float> GroundModel::heightsAbove(const std::vector<Eigen::Vector3f>& points) const {
+  constexpr std::size_t kPoints = 16384U;  // of a task
+  std::vector<float> heights(points.size());
+  parallelChunks(points.size(), kPoints, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) heights[i] = heightAbove(points[i]);
+  });
+  return heights;
 }
 
 float GroundModel::heightAt(float x, float y) const {

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -126,25 +127,45 @@ LeafForm::LeafForm() {
 
 LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& hosts) {
   constexpr float kLeastLinearity = 0.3F;
+  struct Look {
+    bool beside = false;  // the stem
+    bool shown = false;   // the form, by what follows
+    std::size_t bin = 0U;
+    std::size_t band = 0U;
+    float slope = 0.0F;
+    float miss = 0.0F;
+  };
+  std::vector<Look> looks(cells.size());
+  parallelChunks(cells.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t n = begin; n < end; ++n) {
+      if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
+      const LeafHost& host = hosts[static_cast<std::size_t>(cells.owner[n])];
+      Look& look = looks[n];
+      look.beside = isBeside(cells.centers[n], host);
+      if (cells.shapes[n].linearity < kLeastLinearity) continue;
+      std::size_t segment = 0U;
+      const OrganLanes organ = lanesOf(cells.shapes[n], cells.centers[n]);
+      const Pose pose = poseOf(organ, *host.axis, segment);
+      look.bin = static_cast<std::size_t>(pose.distance[0] / kBin);
+      look.band = static_cast<std::size_t>(bandsOf(organ.z, *host.axis)[0]);
+      look.slope = pose.slope[0];
+      look.miss = pose.miss[0];
+      look.shown = pose.known[0] != 0 && look.bin < kBins;
+    }
+  });
   std::vector<std::vector<float>> rises(hosts.size());  // [m]
   Samples whole;
   std::array<Samples, kBands> samples;
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
-    const auto plant = static_cast<std::size_t>(cells.owner[n]);
-    const StemAxis& axis = *hosts[plant].axis;
-    if (isBeside(cells.centers[n], hosts[plant])) {
+  for (std::size_t n = 0; n < looks.size(); ++n) {
+    const Look& look = looks[n];
+    if (look.beside) {
+      const auto plant = static_cast<std::size_t>(cells.owner[n]);
       rises[plant].push_back(cells.centers[n].z() - hosts[plant].top);
     }
-    if (cells.shapes[n].linearity < kLeastLinearity) continue;
-    std::size_t segment = 0U;
-    const OrganLanes organ = lanesOf(cells.shapes[n], cells.centers[n]);
-    const Pose pose = poseOf(organ, axis, segment);
-    const auto bin = static_cast<std::size_t>(pose.distance[0] / kBin);
-    if (pose.known[0] == 0 || bin >= kBins) continue;
-    for (Samples* of : {&whole, &samples[static_cast<std::size_t>(bandsOf(organ.z, axis)[0])]}) {
-      of->slopes[bin].push_back(pose.slope[0]);
-      of->misses[bin].push_back(pose.miss[0]);
+    if (!look.shown) continue;
+    for (Samples* of : {&whole, &samples[look.band]}) {
+      of->slopes[look.bin].push_back(look.slope);
+      of->misses[look.bin].push_back(look.miss);
     }
   }
   LeafForm form;

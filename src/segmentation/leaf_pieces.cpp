@@ -77,20 +77,30 @@ std::vector<std::int32_t> joinSmoothCells(const OrganCells& cells, const Contact
     while (parent[n] != n) n = parent[n] = parent[parent[n]];
     return n;
   };
-  for (std::uint32_t a = 0; a < cells.size(); ++a) {
-    if (smooth[a] == 0U) continue;
-    const LocalShape& shape = cells.shapes[a];
-    contacts.forEach(a, [&](std::uint32_t b) {
-      if (b <= a || smooth[b] == 0U) return;
-      const LocalShape& other = cells.shapes[b];
-      if (std::abs(shape.direction.dot(other.direction)) < kAlike) return;
-      const Eigen::Vector3f step = cells.centers[b] - cells.centers[a];
-      if (std::abs(step.dot(shape.normal)) > kOffset) return;
-      if (std::abs(step.dot(other.normal)) > kOffset) return;
+  using Pair = std::pair<std::uint32_t, std::uint32_t>;
+  std::vector<std::vector<Pair>> alike(chunksOf(cells.size(), kCellsOfTask));
+  parallelChunks(cells.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
+    std::vector<Pair>& of_chunk = alike[begin / kCellsOfTask];
+    for (auto a = static_cast<std::uint32_t>(begin); a < end; ++a) {
+      if (smooth[a] == 0U) continue;
+      const LocalShape& shape = cells.shapes[a];
+      contacts.forEach(a, [&](std::uint32_t b) {
+        if (b <= a || smooth[b] == 0U) return;
+        const LocalShape& other = cells.shapes[b];
+        if (std::abs(shape.direction.dot(other.direction)) < kAlike) return;
+        const Eigen::Vector3f step = cells.centers[b] - cells.centers[a];
+        if (std::abs(step.dot(shape.normal)) > kOffset) return;
+        if (std::abs(step.dot(other.normal)) > kOffset) return;
+        of_chunk.emplace_back(a, b);
+      });
+    }
+  });
+  for (const std::vector<Pair>& of_chunk : alike) {
+    for (const auto& [a, b] : of_chunk) {
       const std::uint32_t one = root(a);
       const std::uint32_t two = root(b);
       parent[std::max(one, two)] = std::min(one, two);
-    });
+    }
   }
   constexpr std::uint32_t kLeastCells = 4U;
   std::vector<std::uint32_t> count(cells.size(), 0U);

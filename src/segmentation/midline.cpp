@@ -676,6 +676,26 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
   return midlineOf(stem, frame, scale, unfitted(prior, max_radius));
 }
 
+Midline refitMidline(const std::vector<Eigen::Vector3f>& points,
+                     const std::vector<std::uint32_t>& members, const Midline& known,
+                     float max_radius, float plant_height) {
+  const ChordFrame frame(known.axis);
+  const Scale scale(max_radius, plant_height);
+  std::vector<Sample> found = samplesOf(points, members, frame, scale);
+  if (found.size() < kMinPoints) return known;
+  const StemCurve start = curveAlong(known.axis, frame, scale.spacing);
+  placeOn(start, scale, found);
+  const CurveSamples samples(std::move(found));
+  Hypothesis stem{CurveFit(samples, start, scale)};
+  stem.high = frame.length;
+  stem.fit.setActive(stem.low, stem.high);
+  stem.fit.setRadius(
+      static_cast<double>(known.axis.radiusAt(0.5F * static_cast<float>(frame.length))));
+  extend(stem, samples, scale);
+  settle(stem);
+  return midlineOf(stem, frame, scale, known);
+}
+
 Midline followMidline(const std::vector<Eigen::Vector3f>& points,
                       const std::vector<std::uint32_t>& members, const StemAxis& known,
                       float max_radius, float plant_height) {

@@ -109,13 +109,14 @@ struct RowModel::Fit {
 
 std::vector<RowModel::Fit> RowModel::Fit::likely(const std::vector<PlantPlace>& places,
                                                  double reach, const Range& spacings) {
-  // Steps so fine that the outermost places stay within an eighth of a row.
-  const double turn = spacings.low / (8.0 * reach);
+  // Steps so fine that the outermost places stay within a quarter of a row.
+  constexpr double kSteps = 4.0;  // of a row
+  const double turn = spacings.low / (kSteps * reach);
   const auto turns = static_cast<std::size_t>(std::ceil(M_PI / turn));
   const double lowest = 1.0 / spacings.high;
   const double highest = 1.0 / spacings.low;
   const auto steps = std::max<std::size_t>(
-      static_cast<std::size_t>(std::ceil((highest - lowest) * 8.0 * reach)), 1U);
+      static_cast<std::size_t>(std::ceil((highest - lowest) * kSteps * reach)), 1U);
   const double step = (highest - lowest) / static_cast<double>(steps);  // [1/m]
   struct Rough {
     Fit fit;

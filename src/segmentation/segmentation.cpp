@@ -211,9 +211,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const auto radius = static_cast<float>(parameters.seed_radius);
   if (parameters.seed_radius != wanted.seed_radius) grid = NeighborGrid(points, kCell * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius, device);
-  std::vector<float> heights;
-  heights.reserve(points.size());
-  for (const Eigen::Vector3f& point : points) heights.push_back(block.ground.heightAbove(point));
+  std::vector<float> heights = block.ground.heightsAbove(points);
   const SamplingProfile sampling(heights, shapes);
   const GrowthScene scene{points, shapes, grid};
   const float plant_height = canopyHeight(std::move(heights));

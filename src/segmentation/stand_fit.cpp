@@ -10,13 +10,12 @@
 #include "field_phenotyping/segmentation/midline.hpp"
 #include "field_phenotyping/segmentation/midline_refinement.hpp"
 #include "field_phenotyping/segmentation/stand_length.hpp"
+#include "field_phenotyping/segmentation/stem_curve.hpp"
 #include "field_phenotyping/segmentation/stem_search.hpp"
 #include "field_phenotyping/segmentation/stem_top.hpp"
 
 namespace field_phenotyping {
 namespace {
-
-constexpr float kSeedling = 0.7F;  // [m] lower than plants whose stems have grown out of the whorl
 
 /// Carries an axis on by some way, and cuts it where the stem ends; see findStemTop().
 /// @param beyond [m]
@@ -77,8 +76,9 @@ void carryOn(const GrowthScene& scene, const SamplingProfile& sampling, float ma
           pointsAround(scene, longer.axis, kStemSurroundings * max_radius);
       const float occupied = findOccupiedEnd(scene.points, around, longer, sampling);
       if (occupied < end + kLeast) break;
-      Midline fitted =
-          fitMidline(scene.points, around, longer.axis.below(occupied), max_radius, plant_height);
+      Midline fitted = midline;
+      fitted.axis = longer.axis.below(occupied);
+      fitted = refitMidline(scene.points, around, fitted, max_radius, plant_height);
       if (!staysOn(fitted.axis, midline.axis)) break;
       midline = std::move(fitted);
       goes_on = true;
@@ -184,7 +184,7 @@ void refineMidlines(const GrowthScene& scene, float max_radius, float plant_heig
 std::vector<GrownStem> refitSeedlings(const GrowthScene& scene, const StemSelection& selection,
                                       float plant_height, std::vector<GrownStem> stems,
                                       const SegmentationParameters& parameters) {
-  if (plant_height > kSeedling) return stems;
+  if (!isSeedling(plant_height)) return stems;
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
   parallelFor(stems.size(), [&](std::size_t s) {
     const StemAxis prior = stems[s].midline.axis;
@@ -200,7 +200,7 @@ std::vector<GrownStem> refitSeedlings(const GrowthScene& scene, const StemSelect
 /// Draws the slopes of seedlings' axes towards what the stand's lean makes likely. Few points show
 /// the upper half of so short a stem, and many leaves there pull it their way; its foot stands.
 void steadySeedlings(float plant_height, std::vector<GrownStem>& stems) {
-  if (plant_height > kSeedling) return;
+  if (!isSeedling(plant_height)) return;
   const StandLean lean = leanOf(axesOf(stems));
   if (!(lean.scatter > 0.0F)) return;
   constexpr float kPull = 0.006F;          // [m] by which leaves move the upper end

@@ -1,5 +1,6 @@
 #include "field_phenotyping/segmentation/stem_search.hpp"
 
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -49,34 +50,70 @@ bool follows(const StemAxis& axis, const std::vector<Eigen::Vector3f>& places, f
   return 2 * static_cast<std::size_t>(near) > places.size();
 }
 
-/// Whether an axis is that of a stem, and ends where that does.
-bool isAmong(const StemAxis& axis, const std::vector<GrownStem>& stems) {
-  constexpr float kApart = 0.005F;  // [m]
-  constexpr float kLonger = 0.01F;  // [m]
-  std::vector<Eigen::Vector3f> places;
-  for (const StemAxis::Node& node : axis.nodes()) places.push_back(node.position);
-  return std::any_of(stems.begin(), stems.end(), [&](const GrownStem& stem) {
-    return std::abs(axis.length() - stem.midline.axis.length()) < kLonger &&
-           follows(stem.midline.axis, places, kApart);
-  });
+/// Whether two axes come so near to one another across the field that one may be the other.
+bool mayMeet(const StemAxis& a, const StemAxis& b, float distance) {
+  using Box = Eigen::AlignedBox2f;
+  const auto boxOf = [](const StemAxis& axis) {
+    Box box;
+    for (const StemAxis::Node& node : axis.nodes()) box.extend(node.position.head<2>());
+    return box;
+  };
+  return boxOf(a).exteriorDistance(boxOf(b)) < distance;
 }
 
+/// Whether an axis is another stem's, and ends where that does.
+bool isSameStem(const StemAxis& axis, const StemAxis& other) {
+  constexpr float kApart = 0.005F;  // [m]
+  constexpr float kLonger = 0.01F;  // [m]
+  if (std::abs(axis.length() - other.length()) >= kLonger || !mayMeet(axis, other, kApart)) {
+    return false;
+  }
+  std::vector<Eigen::Vector3f> places;
+  for (const StemAxis::Node& node : axis.nodes()) places.push_back(node.position);
+  return follows(other, places, kApart);
+}
+
+/// What start points lead to.
+struct Lead {
+  std::vector<std::uint32_t> around;  ///< points round it
+  Midline midline;                    ///< cut where the stem ends
+  bool is_new = true;                 ///< it leads to no stem that is known
+};
+
 /// Step 1: the start points give the axis prior, the points round it the midline and where it ends.
-/// None if they lead to a stem that is known. Young ones are fitted to the end: their leaves are so
-/// near that the better of two fits counts.
-std::optional<Midline> findMidline(const GrowthScene& scene, const StemAxis& prior,
-                                   const std::vector<GrownStem>& known, float max_radius,
-                                   float plant_height) {
-  const std::vector<std::uint32_t> around =
-      pointsAround(scene, prior, kStemSurroundings * max_radius);
-  Midline midline = fitMidline(scene.points, around, prior, max_radius, plant_height);
-  midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
-  if (!isYoung(plant_height) && isAmong(midline.axis, known)) return std::nullopt;
-  // Without the leaves above, the axis points straight up through them, and shows its end better.
+Lead follow(const GrowthScene& scene, const StemAxis& prior, float max_radius, float plant_height) {
+  Lead lead;
+  lead.around = pointsAround(scene, prior, kStemSurroundings * max_radius);
+  lead.midline = fitMidline(scene.points, lead.around, prior, max_radius, plant_height);
+  lead.midline.axis = lead.midline.axis.below(findStemTop(scene.points, lead.around, lead.midline));
+  return lead;
+}
+
+/// Marks the leads that are new: they lead to none of `known`, nor where one before them does.
+/// Of seedlings all count: their leaves are so near that the better of two fits does.
+void markNew(const std::vector<GrownStem>& known, float plant_height, std::vector<Lead>& leads) {
+  if (isSeedling(plant_height)) return;
+  parallelFor(leads.size(), [&](std::size_t k) {
+    leads[k].is_new = std::none_of(known.begin(), known.end(), [&](const GrownStem& stem) {
+      return isSameStem(leads[k].midline.axis, stem.midline.axis);
+    });
+  });
+  for (std::size_t k = 0; k < leads.size(); ++k) {
+    for (std::size_t before = 0; before < k && leads[k].is_new; ++before) {
+      leads[k].is_new =
+          !leads[before].is_new || !isSameStem(leads[k].midline.axis, leads[before].midline.axis);
+    }
+  }
+}
+
+/// Fits a midline again: without the leaves above, the axis points straight up through them, and
+/// shows its end better.
+Midline fitAgain(const GrowthScene& scene, const Lead& lead, float max_radius, float plant_height) {
   constexpr float kMostBeyond = 0.25F;  // [m]
-  midline = fitMidline(scene.points, around, midline.axis, max_radius, plant_height);
+  Midline midline =
+      fitMidline(scene.points, lead.around, lead.midline.axis, max_radius, plant_height);
   midline.axis = midline.axis.extendedBy(std::min(kMostBeyond, kBeyondEnd * plant_height));
-  midline.axis = midline.axis.below(findStemTop(scene.points, around, midline));
+  midline.axis = midline.axis.below(findStemTop(scene.points, lead.around, midline));
   return midline;
 }
 
@@ -88,18 +125,24 @@ std::vector<GrownStem> withPoints(std::vector<GrownStem> grown) {
   return grown;
 }
 
-/// What grows from every candidate; candidates that nothing grows from, or that are one of `known`,
-/// are left out.
+/// What grows from every candidate; those that nothing grows from, or that lead where one of
+/// `known` or another candidate is, are left out.
 std::vector<GrownStem> growCandidates(const GrowthScene& scene, const std::vector<StemSeeds>& seeds,
                                       const std::vector<GrownStem>& known,
                                       const GroundModel& ground, float plant_height,
                                       const SegmentationParameters& parameters) {
-  std::vector<GrownStem> grown(seeds.size());
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  std::vector<Lead> leads(seeds.size());
   parallelFor(seeds.size(), [&](std::size_t k) {
-    std::optional<Midline> midline = findMidline(
-        scene, axisFromSeeds(seeds[k], ground, 0.5F * max_radius), known, max_radius, plant_height);
-    if (midline) grown[k] = growCandidate(scene, *std::move(midline), parameters);
+    leads[k] =
+        follow(scene, axisFromSeeds(seeds[k], ground, 0.5F * max_radius), max_radius, plant_height);
+  });
+  markNew(known, plant_height, leads);
+  std::vector<GrownStem> grown(seeds.size());
+  parallelFor(leads.size(), [&](std::size_t k) {
+    if (!leads[k].is_new) return;
+    grown[k] =
+        growCandidate(scene, fitAgain(scene, leads[k], max_radius, plant_height), parameters);
   });
   return withPoints(std::move(grown));
 }
@@ -209,13 +252,18 @@ std::vector<std::uint8_t> explainedPoints(const GrowthScene& scene,
   std::vector<std::uint8_t> explained(scene.points.size(), 0U);
   constexpr float kStep = 0.02F;  // [m]
   constexpr float kReach = 3.0F;  // standard deviations beyond the surface
-  for (const GrownStem& stem : stems) {
-    const StemAxis& axis = stem.midline.axis;
+  std::vector<std::vector<std::uint32_t>> near(stems.size());
+  parallelFor(stems.size(), [&](std::size_t k) {
+    const Midline& midline = stems[k].midline;
+    const StemAxis& axis = midline.axis;
     for (float s = 0.0F; s <= axis.length(); s += kStep) {
-      const float reach = axis.radiusAt(s) + kReach * stem.midline.spread;
+      const float reach = axis.radiusAt(s) + kReach * midline.spread;
       scene.grid.forEachWithin(axis.pointAt(s), std::hypot(reach, 0.5F * kStep),
-                               [&](std::uint32_t i, float) { explained[i] = 1U; });
+                               [&](std::uint32_t i, float) { near[k].push_back(i); });
     }
+  });
+  for (const std::vector<std::uint32_t>& of_stem : near) {
+    for (const std::uint32_t i : of_stem) explained[i] = 1U;
   }
   return explained;
 }

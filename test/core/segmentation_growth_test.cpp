@@ -652,6 +652,29 @@ TEST(Midline, AmongLeafPointsAndWithAGap) {
   EXPECT_LT(error.radius, 0.003);
 }
 
+TEST(Midline, CarriedOnFromWhatIsKnown) {
+  const Points points = surfaceOf(maizeStem(), 3000U, 0.002, M_PI, 13U);
+  const StemAxis low = maizeStem().below(0.9F);
+  Midline known = fitMidline(points, allOf(points), roughPrior(low, 0.004F), 0.03F, 2.0F);
+  known.axis = known.axis.extendedBy(maizeStem().length() - known.axis.length());
+  const float before = known.axis.project(maizeStem().pointAt(1.55F)).distance;
+  const Midline midline = refitMidline(points, allOf(points), known, 0.03F, 2.0F);
+  const MidlineError error = errorOf(midline, maizeStem());
+  EXPECT_GT(before, 0.02F);  // straight on misses the bend
+  EXPECT_LT(error.center, 0.005);
+  EXPECT_LT(error.radius, 0.003);
+}
+
+TEST(Midline, TooFewPointsLeaveItAsItIsKnown) {
+  Midline known;
+  known.axis = maizeStem();
+  known.spread = 0.004F;
+  const Points points = surfaceOf(maizeStem(), 3U, 0.001, 2.0 * M_PI, 14U);
+  const Midline midline = refitMidline(points, allOf(points), known, 0.03F, 2.0F);
+  EXPECT_FLOAT_EQ(midline.axis.length(), maizeStem().length());
+  EXPECT_FLOAT_EQ(midline.spread, 0.004F);
+}
+
 TEST(Midline, TooFewPointsGiveThePriorBack) {
   const StemAxis prior = roughPrior(maizeStem(), 0.0F);
   for (const std::size_t count : {0U, 1U, 3U}) {

@@ -39,6 +39,8 @@ class GroundModel {
   float heightAbove(const Eigen::Vector3f& point) const {
     return point.z() - heightAt(point.x(), point.y());
   }
+  /// The same of many points [m], on several cores.
+  std::vector<float> heightsAbove(const std::vector<Eigen::Vector3f>& points) const;
 
   bool empty() const { return nodes_.empty(); }
   bool observed() const { return observed_; }

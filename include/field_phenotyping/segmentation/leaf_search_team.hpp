@@ -449,7 +449,7 @@ class LeafSearch {
   /// and those that then meet go on as one.
   FIELD_PHENOTYPING_HD void refine() {
     constexpr int kRounds = 6;
-    constexpr int kHopeful = 2;  // rounds
+    constexpr int kHopeful = 1;  // rounds
     leaf::Steps steps;
     for (int round = 0; round < kRounds; ++round) {
       if (round == kHopeful) {
@@ -470,9 +470,11 @@ class LeafSearch {
   FIELD_PHENOTYPING_HD void climb(LeafBase& base, const leaf::Steps& steps) const {
     constexpr float kPivot = 0.012F;  // [m] beyond the surface, about where most points are
     constexpr int kAttempts = 8;      // in four ways, down and up
+    unsigned gone = 0U;               // ways that led higher, where the way back does not
     for (int k = 0; k < kAttempts; ++k) {
       const float sign = k < kAttempts / 2 ? -1.0F : 1.0F;
       const int way = k % (kAttempts / 2);
+      if ((gone >> way & 1U) != 0U) continue;
       const float steeper = sign > 0.0F ? 1.0F + steps.steeper : 1.0F / (1.0F + steps.steeper);
       const float raised = way == 0 ? sign * steps.along : 0.0F;
       const float turned_by = way == 1 ? sign * steps.turn : 0.0F;
@@ -487,7 +489,10 @@ class LeafSearch {
       changed.arc_length += raised + pivot / base.slope - pivot / changed.slope;
       changed.azimuth = leaf::turned(base.azimuth + turned_by);
       changed.evidence = evidenceOf(changed);
-      if (changed.evidence > base.evidence) base = changed;
+      if (changed.evidence > base.evidence) {
+        base = changed;
+        gone |= 1U << way;
+      }
     }
   }
 

@@ -35,6 +35,13 @@ Midline fitMidline(const std::vector<Eigen::Vector3f>& points,
                    const std::vector<std::uint32_t>& members, const StemAxis& prior,
                    float max_radius, float plant_height);
 
+/// The same from a midline that was fitted before, within a centimetre, and whose axis has been cut
+/// or carried on straight since: its radius is about known, and no stretch is looked for.
+/// Gives it back where there are too few points. Other parameters as of fitMidline().
+Midline refitMidline(const std::vector<Eigen::Vector3f>& points,
+                     const std::vector<std::uint32_t>& members, const Midline& known,
+                     float max_radius, float plant_height);
+
 /// The same along an axis that is known within a few millimetres, where a free fit would follow the
 /// leaves that hide the stem: radius, spread and evidence, with the axis hardly moved.
 Midline followMidline(const std::vector<Eigen::Vector3f>& points,

@@ -18,6 +18,12 @@
 
 namespace field_phenotyping {
 
+/// Whether plants are so low [m] that their stems have not grown out of the whorl.
+inline bool isSeedling(float plant_height) {
+  constexpr float kSeedling = 0.7F;
+  return plant_height <= kSeedling;
+}
+
 /// Whether leaves rise as steeply as the stem and reach far above it [m].
 inline bool isYoung(float plant_height) {
   constexpr float kYoung = 1.4F;  // [m] lower than any with a tassel
