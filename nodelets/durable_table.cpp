@@ -58,7 +58,7 @@ PlantTable::Change DurableTable::update(const BlockHeader& header,
   recall(source.block, plants);
   PlantTable::Change change = table_.update(source, plants);
   if (!change.accepted) return change;
-  size_ += change.added;
+  size_ += change.added.size();
   size_ -= change.removed.size();
   begun_ = true;
   waiting_.push_back({source, plants});

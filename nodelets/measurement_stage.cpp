@@ -42,7 +42,7 @@ boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
   showDeviceUse(stage_.device(), stage_.health());
   const std::vector<Phenotype> plants = plants_.recent().plantsOf(header.index);
   header_ = messageHeader(header);
-  noteFirstValues(header, change.added);
+  noteFirstValues(header, change);
   if (change.accepted) {
     removed_.insert(removed_.end(), change.removed.begin(), change.removed.end());
     fresh_.insert(fresh_.end(), plants.begin(), plants.end());
@@ -55,10 +55,13 @@ boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
 }
 
 /// How long the rover's people have to wait for the first values of a plant.
-void MeasurementStage::noteFirstValues(const BlockHeader& header, std::size_t plants) {
+void MeasurementStage::noteFirstValues(const BlockHeader& header,
+                                       const PlantTable::Change& change) {
+  const std::size_t first = first_values_.countIn(change);
+  stage_.health().count("plants seen again that a revision had not", change.added.size() - first);
   if (header.due_ns == 0U) return;
   const double seconds = (ros::WallTime::now() - ros::WallTime().fromNSec(header.due_ns)).toSec();
-  for (std::size_t k = 0; k < plants; ++k) {
+  for (std::size_t k = 0; k < first; ++k) {
     stage_.health().took("plant, from when its block is due until its first values", seconds);
   }
 }

@@ -12,6 +12,7 @@
 #include "block_stage.hpp"
 #include "durable_table.hpp"
 #include "field_phenotyping/parameters.hpp"
+#include "first_values.hpp"
 
 namespace field_phenotyping {
 
@@ -28,15 +29,16 @@ class MeasurementStage {
 
   boost::shared_ptr<const PlantPhenotypeArray> work(const CompletedBlock& block,
                                                     const MeasurementParameters& parameters);
-  void noteFirstValues(const BlockHeader& header, std::size_t plants);
+  void noteFirstValues(const BlockHeader& header, const PlantTable::Change& change);
   void showMarkers();
   void showRows();
 
   Stage stage_;
   std::mutex mutex_;  // of all below but the markers' publisher
   DurableTable plants_;
-  std_msgs::Header header_;                               // of the last block
-  std::vector<std::int32_t> removed_;                     // plants whose markers are to go
+  std_msgs::Header header_;            // of the last block
+  std::vector<std::int32_t> removed_;  // plants whose markers are to go
+  FirstValues first_values_;
   std::vector<Phenotype> fresh_;                          // plants whose markers are to change
   Eigen::Vector2d last_place_ = Eigen::Vector2d::Zero();  // of the last block [m]
   std::size_t rows_shown_ = 0U;

@@ -37,7 +37,7 @@ PlantTable::Change PlantTable::update(const ReportSource& source,
   Change change;
   change.accepted = true;
   for (const Phenotype& plant : plants) {
-    if (plants_.count(plant.id) == 0U) ++change.added;
+    if (plants_.count(plant.id) == 0U) change.added.push_back(plant.id);
     put(source, plant);
     said.back().ids.insert(plant.id);
   }

@@ -38,7 +38,7 @@ class PlantTable {
  public:
   struct Change {
     bool accepted = false;              ///< false: the revision was older than the one known
-    std::size_t added = 0U;             ///< ids that were not believed in before
+    std::vector<std::int32_t> added;    ///< ids that were not believed in before
     std::vector<std::int32_t> removed;  ///< ids that are no longer believed in
   };
 

@@ -5,7 +5,10 @@
 #include <tbb/task_arena.h>
 
 #include <atomic>
+#include <condition_variable>
+#include <mutex>
 #include <optional>
+#include <thread>
 #endif
 
 namespace field_phenotyping {
@@ -16,12 +19,53 @@ namespace {
 
 thread_local bool is_urgent = false;
 
+/// How many threads do urgent work.
+class UrgentThreads {
+ public:
+  void enter() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ++count_;
+  }
+  void leave() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      --count_;
+    }
+    changed_.notify_all();
+  }
+  void giveWay() {
+    if (count_.load() == 0) return;
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait_for(lock, UrgentWork::kGivesWay, [this] { return count_.load() == 0; });
+  }
+
+ private:
+  std::atomic<int> count_{0};
+  std::mutex mutex_;
+  std::condition_variable changed_;
+};
+
+/// Never taken down: threads may still be in it when the process ends.
+UrgentThreads& urgentThreads() {
+  static UrgentThreads* const threads = new UrgentThreads();
+  return *threads;
+}
+
+/// Of TBB's own threads, which leave for urgent work by themselves between two tasks.
+bool isHelper() {
+  return tbb::this_task_arena::current_thread_index() > 0;
+}
+
 /// Where urgent work is done; null where the task library knows no priorities.
 tbb::task_arena* urgentArena() {
 #if TBB_INTERFACE_VERSION >= 12010
+  // Room for every thread that may have urgent work: one more would wait until another has left.
+  constexpr unsigned kMostThreads = 8U;
+  const int all =
+      static_cast<int>(std::max(std::thread::hardware_concurrency(), 1U) + kMostThreads - 1U);
   // Never taken down: threads may still be in it when the process ends.
   static tbb::task_arena* const arena =
-      new tbb::task_arena(tbb::task_arena::automatic, 1U, tbb::task_arena::priority::high);
+      new tbb::task_arena(all, kMostThreads, tbb::task_arena::priority::high);
   return arena;
 #else
   return nullptr;
@@ -35,7 +79,12 @@ std::atomic<tbb::task_arena*> limited{nullptr};
 }  // namespace
 
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task) {
-  const auto run = [&] { tbb::parallel_for(std::size_t{0}, count, task); };
+  const std::function<void(std::size_t)> considerate = [&](std::size_t i) {
+    if (!isHelper()) urgentThreads().giveWay();
+    task(i);
+  };
+  const auto& chosen = is_urgent ? task : considerate;
+  const auto run = [&] { tbb::parallel_for(std::size_t{0}, count, chosen); };
   tbb::task_arena* arena = limited.load();
   if (arena == nullptr && is_urgent) arena = urgentArena();
   if (arena != nullptr) {
@@ -60,9 +109,11 @@ ThreadLimit::ThreadLimit(int threads) : impl_(new Impl(threads)) {}
 
 UrgentWork::UrgentWork() : outer_(is_urgent) {
   is_urgent = true;
+  urgentThreads().enter();
 }
 
 UrgentWork::~UrgentWork() {
+  urgentThreads().leave();
   is_urgent = outer_;
 }
 

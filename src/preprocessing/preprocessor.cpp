@@ -529,8 +529,10 @@ BlockHeader Preprocessor::Impl::headerOf(const BlockIndex& index, bool flush, bo
     header.final = flush || isFinal(state->second);
     header.draft = draft;
   }
-  constexpr double kDraftMargin = 0.5;  // of the margin: a stem and what stands above it
-  header.margin = (header.draft ? kDraftMargin : 1.0) * parameters.block_margin;
+  // Of the margin, while more is to come: a stem and what stands above it. The last word on long
+  // leaves is the final block's.
+  constexpr double kOpenMargin = 0.5;
+  header.margin = (header.final ? 1.0 : kOpenMargin) * parameters.block_margin;
   return header;
 }
 

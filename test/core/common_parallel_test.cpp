@@ -135,5 +135,25 @@ TEST(UrgentWork, IsHelpedWhileOthersHaveWork) {
   EXPECT_EQ(met, kRounds);
 }
 
+TEST(UrgentWork, OthersGiveWayButGoOn) {
+  const ThreadLimit limit(1);  // nobody helps
+  constexpr std::size_t kTasks = 5U;
+  std::size_t runs = 0U;
+  const auto work = [&] { parallelFor(kTasks, [&](std::size_t) { ++runs; }); };
+  const auto secondsOf = [](const auto& call) {
+    const auto begin = std::chrono::steady_clock::now();
+    call();
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  };
+  const double pause = std::chrono::duration<double>(UrgentWork::kGivesWay).count();
+  const UrgentWork urgent;
+  EXPECT_LT(secondsOf(work), pause) << "urgent work waits for nobody";
+  double gave_way = 0.0;
+  std::thread other([&] { gave_way = secondsOf(work); });
+  other.join();
+  EXPECT_GE(gave_way, static_cast<double>(kTasks) * pause);
+  EXPECT_EQ(runs, 2U * kTasks);
+}
+
 }  // namespace
 }  // namespace field_phenotyping

@@ -335,7 +335,8 @@ TEST(Preprocessor, WhatHasChangedIsADraftAndABetterBlockFollowsOnceItHasSettled)
   const BlockPoints settled = preprocessor.collect({index}, false);
   EXPECT_FALSE(settled.header.draft);
   EXPECT_FALSE(settled.header.final);
-  EXPECT_DOUBLE_EQ(settled.header.margin, 0.6);
+  EXPECT_DOUBLE_EQ(settled.header.margin, 0.3) << "it is worked again when it is final";
+  EXPECT_DOUBLE_EQ(preprocessor.collect({index}, true).header.margin, 0.6);
   preprocessor.markHandedOn(settled.header);
 
   preprocessor.addScan(patch(1.3, 1.4, kStart + 20U * kSecond), kIdentity);

@@ -4,6 +4,8 @@
 
 #include <cmath>
 
+#include "first_values.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -32,14 +34,37 @@ TEST(PlantTable, KeepsTheNewestRevision) {
   PlantTable table;
   const auto first = table.update(source({0, 0}, 1U), {plant(3, 1.0), plant(1, 2.0)});
   EXPECT_TRUE(first.accepted);
-  EXPECT_EQ(first.added, 2U);
+  EXPECT_EQ(first.added.size(), 2U);
   const auto second = table.update(source({0, 0}, 2U), {plant(3, 1.5), plant(1, 2.0)});
   EXPECT_TRUE(second.removed.empty());
-  EXPECT_EQ(second.added, 0U);
+  EXPECT_TRUE(second.added.empty());
   ASSERT_EQ(table.size(), 2U);
   EXPECT_EQ(table.plants()[0].id, 1);
   EXPECT_EQ(table.plants()[1].height.value, 1.5);
   EXPECT_EQ(table.plants()[1].passes, 1U);
+}
+
+TEST(FirstValues, APlantThatComesBackHasHadThem) {
+  PlantTable table;
+  FirstValues first;
+  const auto report = [&](std::uint32_t revision, const std::vector<Phenotype>& plants) {
+    return first.countIn(table.update(source({0, 0}, revision), plants));
+  };
+  EXPECT_EQ(report(1U, {plant(1, 1.0), plant(2, 1.0)}), 2U);
+  EXPECT_EQ(report(2U, {plant(1, 1.0)}), 0U) << "a revision does not see the other";
+  EXPECT_EQ(report(3U, {plant(1, 1.0), plant(2, 1.0), plant(3, 1.0)}), 1U);
+}
+
+TEST(FirstValues, RemembersTheLastThatWent) {
+  FirstValues first;
+  PlantTable::Change gone;
+  for (std::size_t k = 0; k <= FirstValues::kMostWithdrawn; ++k) {
+    gone.removed.push_back(static_cast<std::int32_t>(k));
+  }
+  EXPECT_EQ(first.countIn(gone), 0U);
+  PlantTable::Change back;
+  back.added = {0, 1};
+  EXPECT_EQ(first.countIn(back), 1U) << "the one that went first is forgotten";
 }
 
 TEST(PlantTable, TakesTheSameRevisionAgain) {
