@@ -65,7 +65,7 @@ float distanceFromLine(const Eigen::Vector3f& place, const LeafHost& host) {
 
 /// [m] above which there are tassels and the upper leaves of whorls, but no stems.
 float heightOfCrowns(const std::vector<LeafHost>& hosts) {
-  constexpr float kAboveStems = 1.2F;  // times their height
+  constexpr float kAboveStems = 1.1F;  // times their height
   std::vector<float> heights;
   for (const LeafHost& host : hosts) {
     if (!host.axis->empty()) heights.push_back(host.height() - host.tip());
@@ -223,6 +223,7 @@ float LeafForm::tooFar(const Eigen::Vector3f& place, const LeafHost& host) const
 void LeafForm::learnReaches(const OrganCells& cells, const std::vector<LeafHost>& hosts) {
   constexpr float kLeastCells = 50.0F;  // that show where organs of a layer stand
   constexpr float kAnywhere = 0.02F;    // share of cells that may be any plant's
+  constexpr float kSay = 0.5F;          // of the log ratio: cells of one organ stand together
   std::vector<Reach> counts;            // of cells, layer by layer
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
@@ -254,7 +255,7 @@ void LeafForm::learnReaches(const OrganCells& cells, const std::vector<LeafHost>
       density[bin] = most = std::max(most, sum[bin] / whole / area + kAnywhere / kWholeArea);
     }
     for (std::size_t bin = 0; bin < kFarBins; ++bin) {
-      reaches_[layer][bin] = std::log(most / density[bin]);
+      reaches_[layer][bin] = kSay * std::log(most / density[bin]);
     }
   }
 }
