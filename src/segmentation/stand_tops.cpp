@@ -82,10 +82,10 @@ class Stand {
   const Top& top(std::size_t plant) const { return tops_[plant]; }
   const StemLine& line(std::size_t plant) const { return lines_[plant]; }
 
-  /// Whether a plant's top is hardly its own.
-  bool isFarOff(std::size_t plant) const {
-    constexpr float kOwn = 1.5F;  // medians
-    return tops_[plant].is_known && tops_[plant].off_line > kOwn * median_off_;
+  /// Whether a plant's top is farther off its line than most, and than that [m].
+  bool isFarOff(std::size_t plant, float least) const {
+    constexpr float kMost = 1.5F;  // medians
+    return tops_[plant].is_known && tops_[plant].off_line > std::max(kMost * median_off_, least);
   }
 
   /// Calls visit(other, index, distance) for others' points above a plant's top that are nearer to
@@ -228,6 +228,7 @@ class HighestPoints {
 void giveTopsBack(const std::vector<Eigen::Vector3f>& points, const std::vector<StemAxis>& axes,
                   PointOwners& owners) {
   constexpr double kMostByChance = 0.2;  // share of tops
+  constexpr float kAside = 0.15F;        // [m] no tassel, however it bends, but a leaf
   constexpr float kLeastRise = 0.15F;    // [m]
   constexpr std::size_t kFewest = 20U;   // points within the tube
   PointsOfPlants of_plants(axes.size());
@@ -240,7 +241,7 @@ void giveTopsBack(const std::vector<Eigen::Vector3f>& points, const std::vector<
   const Stand stand(points, all, of_plants);
   if (stand.disputedByChance() > kMostByChance) return;
   for (std::size_t plant = 0; plant < axes.size(); ++plant) {
-    if (!stand.isFarOff(plant)) continue;
+    if (!stand.isFarOff(plant, kAside)) continue;
     HighestPoints highest(stand.top(plant).z);
     std::size_t count = 0U;
     std::vector<std::uint32_t> held;
@@ -274,7 +275,7 @@ std::vector<float> doubtTops(const SegmentedBlock& block) {
     const Top& top = stand.top(plant);
     if (!top.is_known) return;
     float rise = 0.0F;
-    if (stand.isFarOff(plant)) {
+    if (stand.isFarOff(plant, 0.0F)) {
       HighestPoints highest(top.z);
       stand.forEachHeldByOthers(plant, [&](std::size_t, std::uint32_t i, float distance) {
         if (distance <= stand.tube()) highest.add(points[i].z());
