@@ -15,6 +15,7 @@
 #include "field_phenotyping/segmentation/leaf_form.hpp"
 #include "field_phenotyping/segmentation/leaf_pieces.hpp"
 #include "field_phenotyping/segmentation/organ_cells.hpp"
+#include "field_phenotyping/segmentation/organ_rivals.hpp"
 #include "field_phenotyping/segmentation/stem_continuation.hpp"
 
 namespace field_phenotyping {
@@ -28,12 +29,6 @@ struct Entry {
   }
 };
 using Queue = std::priority_queue<Entry, std::vector<Entry>, std::greater<Entry>>;
-
-/// How much worse a piece fits a plant than the one that it fits best.
-struct Misfit {
-  std::uint32_t piece = 0U;
-  float cost = 0.0F;
-};
 
 /// For every plant the pieces that stand near enough to be its own. What no plant explains well,
 /// because it is bent or small, is so held against none of them, nor against what hangs on it.
@@ -84,84 +79,6 @@ std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const Lea
       misfits[plant].push_back({piece, cost - least});
   }
   return misfits;
-}
-
-/// The plant that a piece would be of if not of its own.
-struct Rival {
-  std::int32_t plant = -1;
-  float chance = 0.0F;  ///< that it is
-};
-
-/// @param costs    of each plant: the pieces that it can get at
-/// @param plant_of of each piece
-std::vector<Rival> findRivals(const std::vector<std::vector<Misfit>>& costs,
-                              const std::vector<std::int32_t>& plant_of) {
-  constexpr float kNone = std::numeric_limits<float>::max();
-  // Costs overstate how sure they are, since a piece that is odd is so all along: of tops whose
-  // piece was dearer for any other plant by so much, every fifth was another's.
-  constexpr float kScale = 10.0F;
-  std::vector<float> own(plant_of.size(), kNone);
-  std::vector<float> least(plant_of.size(), kNone);  // of others
-  std::vector<Rival> rivals(plant_of.size());
-  for (std::size_t plant = 0; plant < costs.size(); ++plant) {
-    for (const Misfit& of : costs[plant]) {
-      if (plant_of[of.piece] == static_cast<std::int32_t>(plant)) {
-        own[of.piece] = of.cost;
-      } else if (of.cost < least[of.piece]) {
-        least[of.piece] = of.cost;
-        rivals[of.piece].plant = static_cast<std::int32_t>(plant);
-      }
-    }
-  }
-  for (std::size_t piece = 0; piece < rivals.size(); ++piece) {
-    if (rivals[piece].plant < 0 || own[piece] == kNone) continue;
-    const float dearer = std::max(0.0F, least[piece] - own[piece]);
-    rivals[piece].chance = 0.5F * std::exp(-dearer / kScale);
-  }
-  return rivals;
-}
-
-/// Of each plant: standard deviation of its highest point by what its rivals may have of it, and
-/// it of them [m].
-std::vector<float> doubtTops(const OrganCells& cells, const LeafPieces& pieces,
-                             const std::vector<Rival>& rivals, const std::vector<LeafHost>& hosts) {
-  constexpr float kSure = 0.05F;  // chance of what is not doubted
-  std::vector<float> top;         // of each plant, and of what of it is sure
-  for (const LeafHost& host : hosts) top.push_back(host.top);
-  std::vector<float> sure = top;
-  std::vector<float> chance(hosts.size(), 0.0F);  // that the highest piece is another's
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (cells.owner[n] < 0) continue;
-    const auto plant = static_cast<std::size_t>(cells.owner[n]);
-    const std::int32_t piece = pieces.of_cell[n];
-    const float of_rival = piece < 0 ? 0.0F : rivals[static_cast<std::size_t>(piece)].chance;
-    const float z = cells.centers[n].z();
-    if (z > top[plant]) {
-      top[plant] = z;
-      chance[plant] = of_rival;
-    }
-    if (of_rival < kSure) sure[plant] = std::max(sure[plant], z);
-  }
-  std::vector<float> variance(hosts.size());
-  for (std::size_t plant = 0; plant < hosts.size(); ++plant) {
-    const float drop = top[plant] - sure[plant];
-    variance[plant] = chance[plant] * drop * drop;
-  }
-  std::vector<float> rise_variance(hosts.size(), 0.0F);
-  for (std::size_t piece = 0; piece < rivals.size(); ++piece) {
-    const Rival& rival = rivals[piece];
-    if (rival.chance < kSure) continue;
-    float high = std::numeric_limits<float>::lowest();
-    for (const std::uint32_t n : pieces.cells[piece]) high = std::max(high, cells.centers[n].z());
-    const auto plant = static_cast<std::size_t>(rival.plant);
-    const float rise = std::max(0.0F, high - top[plant]);
-    rise_variance[plant] = std::max(rise_variance[plant], rival.chance * rise * rise);
-  }
-  std::vector<float> stddevs;
-  for (std::size_t plant = 0; plant < hosts.size(); ++plant) {
-    stddevs.push_back(std::sqrt(variance[plant] + rise_variance[plant]));
-  }
-  return stddevs;
 }
 
 /// Where every plant in turn takes what makes the sum of all costs least, until nothing changes: a
@@ -508,7 +425,7 @@ OrganOwners assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
   for (std::size_t i = 0; i < owner.size(); ++i) {
     if (owner[i] < 0) owner[i] = cells.owner[cells.of_point[i]];
   }
-  return {std::move(owner), doubtTops(cells, pieces, rivals, hosts)};
+  return {std::move(owner), topStddevsOf(cells, pieces, rivals, hosts)};
 }
 
 }  // namespace field_phenotyping
