@@ -61,7 +61,8 @@ struct PreprocessingParameters {
     v(ParameterInfo{"block_size", "m", "edge of the square tiles that the scene is worked in"},
       p.block_size, 0.5, 100.0);
     v(ParameterInfo{"block_margin", "m",
-                    "of neighbouring tiles that goes with a block so that border plants are whole"},
+                    "of neighbouring tiles that goes with a block so that border plants are whole; "
+                    "half of it until no more comes"},
       p.block_margin, 0.0, 5.0);
     v(ParameterInfo{"ground_cell", "m", "spacing of the nodes of the soil model"}, p.ground_cell,
       0.05, 5.0);

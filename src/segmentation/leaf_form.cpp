@@ -76,8 +76,7 @@ float heightOfCrowns(const std::vector<LeafHost>& hosts) {
 /// Whether a place is too far from the stem to be its own spike, found or not.
 bool isBeside(const Eigen::Vector3f& place, const LeafHost& host) {
   constexpr float kSpike = 0.08F;  // [m] with its bend
-  const Eigen::Vector3f foot = host.axis->pointAtHeight(place.z());
-  return (place - foot).head<2>().squaredNorm() > kSpike * kSpike;
+  return distanceFromLine(place, host) > kSpike;
 }
 
 /// Whether a place is where the organ may go on that was followed.

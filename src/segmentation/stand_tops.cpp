@@ -8,6 +8,7 @@
 #include <functional>
 #include <numeric>
 #include <optional>
+#include <utility>
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
@@ -57,14 +58,11 @@ struct Top {
 
 class Stand {
  public:
-  Stand(const std::vector<Eigen::Vector3f>& points, const std::vector<const StemAxis*>& axes,
+  Stand(const std::vector<Eigen::Vector3f>& points, std::vector<StemLine> lines,
         const PointsOfPlants& of_plants)
-      : points_(points), of_plants_(of_plants), tops_(axes.size()) {
+      : points_(points), of_plants_(of_plants), lines_(std::move(lines)), tops_(lines_.size()) {
     std::vector<Eigen::Vector3f> bases;
-    for (const StemAxis* axis : axes) {
-      lines_.emplace_back(*axis);
-      bases.emplace_back(lines_.back().base().x(), lines_.back().base().y(), 0.0F);
-    }
+    for (const StemLine& line : lines_) bases.emplace_back(line.base().x(), line.base().y(), 0.0F);
     grid_.emplace(bases, kFarthest);
     parallelFor(size(), [&](std::size_t plant) { tops_[plant] = findTop(plant); });
     std::vector<float> off;
@@ -236,9 +234,7 @@ void giveTopsBack(const std::vector<Eigen::Vector3f>& points, const std::vector<
     const std::int32_t plant = owners.of(i);
     if (plant >= 0) of_plants[static_cast<std::size_t>(plant)].push_back(i);
   }
-  std::vector<const StemAxis*> all;
-  for (const StemAxis& axis : axes) all.push_back(&axis);
-  const Stand stand(points, all, of_plants);
+  const Stand stand(points, std::vector<StemLine>(axes.begin(), axes.end()), of_plants);
   if (stand.disputedByChance() > kMostByChance) return;
   for (std::size_t plant = 0; plant < axes.size(); ++plant) {
     if (!stand.isFarOff(plant, kAside)) continue;
@@ -261,17 +257,17 @@ std::vector<float> doubtTops(const SegmentedBlock& block) {
   constexpr float kMostRise = 0.6F;  // [m] of a tassel
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   PointsOfPlants of_plants;
-  std::vector<const StemAxis*> axes;
+  std::vector<StemLine> lines;
   for (const Plant& plant : block.plants) {
-    axes.push_back(&plant.axis);
+    lines.emplace_back(plant.axis);
     of_plants.emplace_back(plant.points.size());
     std::iota(of_plants.back().begin(), of_plants.back().end(), plant.points.begin);
   }
-  const Stand stand(points, axes, of_plants);
-  std::vector<float> doubts(axes.size(), 0.0F);
+  const Stand stand(points, std::move(lines), of_plants);
+  std::vector<float> doubts(stand.size(), 0.0F);
   if (stand.known() < 2U) return doubts;
   const auto wrong = static_cast<float>(shareOfWrong(stand));
-  parallelFor(axes.size(), [&](std::size_t plant) {
+  parallelFor(stand.size(), [&](std::size_t plant) {
     const Top& top = stand.top(plant);
     if (!top.is_known) return;
     float rise = 0.0F;
