@@ -37,10 +37,11 @@ std::vector<std::vector<double>> timeInTurn(const std::vector<TimedTask>& tasks,
 }
 
 std::vector<PipelineSetting> pipelineSettings(const ComputeDevice& gpu) {
-  std::vector<PipelineSetting> settings = {{"one core", 1, {}}, {"all cores", 0, {}}};
+  std::vector<PipelineSetting> settings = {{"one core", 1, {}}};
+  if (hasTaskLibrary()) settings.push_back({"all cores", 0, {}});
   if (gpu.hasGpu()) {
     settings.push_back({gpu.use().device + ", one core", 1, gpu});
-    settings.push_back({gpu.use().device + ", all cores", 0, gpu});
+    if (hasTaskLibrary()) settings.push_back({gpu.use().device + ", all cores", 0, gpu});
   }
   return settings;
 }

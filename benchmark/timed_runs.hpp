@@ -27,7 +27,7 @@ struct PipelineSetting {
   ComputeDevice device;
 };
 
-/// One core, all cores, and both with the GPU where there is one.
+/// One core, all cores where the task library is there, and both with the GPU where there is one.
 std::vector<PipelineSetting> pipelineSettings(const ComputeDevice& gpu);
 
 /// Runs the pipeline with default parameters and returns its seconds.

@@ -71,6 +71,17 @@ class GpuStream {
     return target;
   }
 
+  /// The same for values that the caller has put into pinned() memory: copied once less.
+  template <class T>
+  T* pinnedToDevice(const T* values, std::size_t count) {
+    T* target = device<T>(count);
+    if (count > 0U) {
+      checkGpu(cudaMemcpyAsync(target, values, count * sizeof(T), cudaMemcpyHostToDevice, stream_),
+               "copy to the GPU");
+    }
+    return target;
+  }
+
   /// Where `count` values of the device's memory will be on the host, once wait() has returned.
   template <class T>
   const T* toHost(const T* values, std::size_t count) {

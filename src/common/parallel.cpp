@@ -78,6 +78,10 @@ std::atomic<tbb::task_arena*> limited{nullptr};
 
 }  // namespace
 
+bool hasTaskLibrary() {
+  return true;
+}
+
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task) {
   const std::function<void(std::size_t)> considerate = [&](std::size_t i) {
     if (!isHelper()) urgentThreads().giveWay();
@@ -118,6 +122,10 @@ UrgentWork::~UrgentWork() {
 }
 
 #else
+
+bool hasTaskLibrary() {
+  return false;
+}
 
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task) {
   for (std::size_t i = 0; i < count; ++i) task(i);

@@ -1,4 +1,6 @@
 #include <algorithm>
+#include <cstddef>
+#include <vector>
 
 #include "common/gpu_stream.hpp"
 #include "common/gpu_team.cuh"
@@ -51,26 +53,32 @@ __global__ void __launch_bounds__(kMostThreads) solveFilters(DeviceMemoryOfFilte
 
 GpuFilters filtersOnGpu(GpuStream& stream, const std::vector<FilterTask>& tasks) {
   std::vector<Begin> begins;
-  std::vector<FilterPoint> points;
   std::vector<double> kernels;
   GpuFilters result{};
+  std::size_t points = 0U;
   std::size_t sums = 0U;
   std::size_t nodes = 0U;
   std::size_t widest = 0U;
+  bool by_color = false;
   for (const FilterTask& task : tasks) {
-    begins.push_back({points.size(), kernels.size(), sums, nodes});
+    begins.push_back({points, kernels.size(), sums, nodes});
     result.begins.push_back(nodes);
-    points.insert(points.end(), task.points, task.points + task.count);
     kernels.insert(kernels.end(), task.along, task.along + task.reach_along + 1);
     kernels.insert(kernels.end(), task.around, task.around + task.reach_around + 1);
+    points += static_cast<std::size_t>(task.count);
     sums += static_cast<std::size_t>(task.sums());
     nodes += static_cast<std::size_t>(task.grid.nodes());
     widest = std::max(widest, static_cast<std::size_t>(task.wideRow()));
+    by_color = by_color || task.by_color;
+  }
+  auto* const all_points = stream.pinned<FilterPoint>(points);
+  for (std::size_t k = 0; k < tasks.size(); ++k) {
+    std::copy_n(tasks[k].points, tasks[k].count, all_points + begins[k].point);
   }
   DeviceMemoryOfFilters memory{};
   memory.tasks = stream.toDevice(tasks.data(), tasks.size());
   memory.begins = stream.toDevice(begins.data(), begins.size());
-  memory.points = stream.toDevice(points.data(), points.size());
+  memory.points = stream.pinnedToDevice(all_points, points);
   memory.kernels = stream.toDevice(kernels.data(), kernels.size());
   memory.weights = stream.device<double>(sums);
   memory.values = stream.device<double>(sums);
@@ -89,7 +97,7 @@ GpuFilters filtersOnGpu(GpuStream& stream, const std::vector<FilterTask>& tasks)
       memory);
   checkLaunch("filters of stems");
   result.nodes = stream.toHost(memory.nodes, nodes);
-  result.colors = stream.toHost(memory.colors, nodes);
+  if (by_color) result.colors = stream.toHost(memory.colors, nodes);
   stream.wait();
   return result;
 }

@@ -13,7 +13,7 @@ class GpuStream;
 struct GpuFilters {
   std::vector<std::size_t> begins;  ///< where those of each filter begin
   const FilterNode* nodes;
-  const FilterColor* colors;  ///< of those by colour
+  const FilterColor* colors;  ///< of those by colour; null where there is none
 };
 
 /// FilterSolver of all tasks at once, a thread block each. @throws GpuError

@@ -445,8 +445,19 @@ std::vector<CompletedStem> completeStems(const PointCloud& cloud,
                                          const GroundModel& ground,
                                          const CompletionParameters& parameters,
                                          const ComputeDevice& device) {
-  if (device.hasGpu()) return completeStemsTogether(cloud, stems, ground, parameters, device);
   std::vector<CompletedStem> completed(stems.size());
+  if (device.hasGpu()) {
+    // While some are on the GPU others are made ready for it, and read from it.
+    constexpr std::size_t kAtOnce = 8U;
+    parallelChunks(stems.size(), kAtOnce, [&](std::size_t begin, std::size_t end) {
+      const auto first = stems.begin() + static_cast<std::ptrdiff_t>(begin);
+      std::vector<CompletedStem> some =
+          completeStemsTogether(cloud, {first, stems.begin() + static_cast<std::ptrdiff_t>(end)},
+                                ground, parameters, device);
+      std::move(some.begin(), some.end(), completed.begin() + static_cast<std::ptrdiff_t>(begin));
+    });
+    return completed;
+  }
   parallelFor(stems.size(), [&](std::size_t i) {
     StemInWork stem(cloud, stems[i], ground, parameters);
     for (const StemInWork::OpenRegion& region : stem.open()) {

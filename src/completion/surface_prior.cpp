@@ -304,7 +304,7 @@ SurfacePrior::SurfacePrior(StemFrame frame, const coarse::Layout& layout)
 std::vector<std::optional<SurfacePrior>> fitSurfacePriors(const std::vector<StemToModel>& stems,
                                                           const ComputeDevice& device) {
   // What the GPU keeps of a stem is bounded, and so is what it works on at once.
-  constexpr std::size_t kAtOnce = 64U;
+  constexpr std::size_t kAtOnce = 128U;
   std::vector<std::optional<SurfacePrior>> priors(stems.size());
   if (device.hasGpu()) {
     std::vector<StemToFit> given(stems.size());
@@ -313,17 +313,16 @@ std::vector<std::optional<SurfacePrior>> fitSurfacePriors(const std::vector<Stem
     for (std::size_t i = 0; i < stems.size(); ++i) {
       if (given[i].task.count > 0) numbers.push_back(i);
     }
-    for (std::size_t first = 0; first < numbers.size(); first += kAtOnce) {
-      const std::size_t count = std::min(kAtOnce, numbers.size() - first);
+    parallelChunks(numbers.size(), kAtOnce, [&](std::size_t begin, std::size_t end) {
       std::vector<const StemToFit*> some;
-      for (std::size_t k = 0; k < count; ++k) some.push_back(&given[numbers[first + k]]);
+      for (std::size_t k = begin; k < end; ++k) some.push_back(&given[numbers[k]]);
       const std::vector<Fitted> fitted = fitOnGpu(some, device);
-      parallelFor(count, [&](std::size_t k) {
-        const std::size_t i = numbers[first + k];
+      parallelFor(some.size(), [&](std::size_t k) {
+        const std::size_t i = numbers[begin + k];
         priors[i] = SurfacePriorMaker::make(given[i], *stems[i].axis,
                                             fitted.empty() ? fitAlone(given[i].task) : fitted[k]);
       });
-    }
+    });
     return priors;
   }
   parallelFor(stems.size(), [&](std::size_t i) {

@@ -8,8 +8,9 @@
 namespace field_phenotyping {
 namespace {
 
+constexpr unsigned kStartThreads = 64U;
 constexpr unsigned kLeastThreads = 32U;
-constexpr unsigned kMostThreads = 64U;
+constexpr unsigned kMostThreads = 256U;  // 64 points at once
 /// What every thread block may have without asking for more.
 constexpr std::size_t kUsualSharedBytes = std::size_t{48} << 10U;
 
@@ -23,7 +24,7 @@ struct StartMemory {
 constexpr std::size_t startBytes(unsigned threads) {
   return threads * sizeof(start::Record) + sizeof(StartMemory);
 }
-static_assert(startBytes(kMostThreads) <= kUsualSharedBytes, "it fits in");
+static_assert(startBytes(kStartThreads) <= kUsualSharedBytes, "it fits in");
 
 __device__ CrossSectionPoints pointsOf(const CrossSectionPiece& piece, const double* places) {
   return {places + 3U * static_cast<std::size_t>(piece.first_point), piece.count};
@@ -47,13 +48,14 @@ struct MixtureMemory {
   int bins;
   bool is_shared;         // what the team's members share is in shared memory
   std::size_t shared;     // else where it is
-  std::size_t of_points;  // memory of the members' points
+  std::size_t of_points;  // memory of the groups' points
 };
 
 /// One thread block for each piece.
-__global__ void fitPieces(const CrossSectionPiece* pieces, const double* places,
-                          const CrossSectionStart* starts, const MixtureMemory* layout,
-                          double* memory, SurfaceMixtureFit* fits) {
+__global__ void __launch_bounds__(kMostThreads)
+    fitPieces(const CrossSectionPiece* pieces, const double* places,
+              const CrossSectionStart* starts, const MixtureMemory* layout, double* memory,
+              SurfaceMixtureFit* fits) {
   extern __shared__ double shared[];
   const CrossSectionPiece& piece = pieces[blockIdx.x];
   const MixtureMemory& own = layout[blockIdx.x];
@@ -62,10 +64,10 @@ __global__ void fitPieces(const CrossSectionPiece* pieces, const double* places,
                     fits[blockIdx.x]);
 }
 
-/// As many threads as a usual piece has points.
+/// A group of lanes for every point that a usual piece has.
 unsigned threadsFor(std::size_t points, std::uint32_t pieces) {
   unsigned threads = kLeastThreads;
-  while (threads < kMostThreads && threads * static_cast<std::size_t>(pieces) < points) {
+  while (threads < kMostThreads && threads / kLanes * static_cast<std::size_t>(pieces) < points) {
     threads *= 2U;
   }
   return threads;
@@ -79,8 +81,8 @@ GpuCrossSections crossSectionsOnGpu(GpuStream& stream, const double* places, std
   const double* device_places = stream.toDevice(places, 3U * points);
   const CrossSectionPiece* device_pieces = stream.toDevice(pieces, count);
   auto* device_starts = stream.device<CrossSectionStart>(count);
-  startPieces<<<count, threads, startBytes(threads), stream.get()>>>(device_pieces, device_places,
-                                                                     device_starts);
+  startPieces<<<count, kStartThreads, startBytes(kStartThreads), stream.get()>>>(
+      device_pieces, device_places, device_starts);
   checkLaunch("starts of cross-sections");
   const CrossSectionStart* starts = stream.toHost(device_starts, count);
   stream.wait();
@@ -96,7 +98,7 @@ GpuCrossSections crossSectionsOnGpu(GpuStream& stream, const double* places, std
     const std::size_t shared = mixture::sharedScratchSize(bins);
     const bool is_shared = shared * sizeof(double) <= most_shared;
     layout.push_back({bins, is_shared, size, size + (is_shared ? 0U : shared)});
-    size = layout.back().of_points + threads * mixture::pointScratchSize(bins);
+    size = layout.back().of_points + threads / kLanes * mixture::pointScratchSize(bins);
     if (is_shared) shared_bytes = std::max(shared_bytes, shared * sizeof(double));
   }
   const MixtureMemory* device_layout = stream.toDevice(layout.data(), layout.size());

@@ -221,17 +221,17 @@ std::vector<LeafBase> findAlone(const Surroundings& around) {
   return found;
 }
 
-/// Of all these stems on the GPU; false where they are to be worked on the CPU.
-bool findOnGpu(const std::vector<Surroundings>& stems, const ComputeDevice& device,
-               std::vector<std::vector<LeafBase>>& found) {
+/// Of stems begin ... end - 1 on the GPU; false where they are to be worked on the CPU.
+bool findOnGpu(const std::vector<Surroundings>& stems, std::size_t begin, std::size_t end,
+               const ComputeDevice& device, std::vector<std::vector<LeafBase>>& found) {
   if constexpr (kWithCuda) {
     return device.attempt([&](GpuStream& stream) {
       std::vector<LeafSearchTask> tasks;
-      for (const Surroundings& stem : stems) tasks.push_back(stem.task());
+      for (std::size_t s = begin; s < end; ++s) tasks.push_back(stems[s].task());
       const GpuLeafBases result = leafBasesOnGpu(stream, tasks);
-      for (std::size_t s = 0; s < stems.size(); ++s) {
-        const LeafBase* first = result.bases + result.begins[s];
-        found[s].assign(first, first + result.counts[s]);
+      for (std::size_t s = begin; s < end; ++s) {
+        const LeafBase* first = result.bases + result.begins[s - begin];
+        found[s].assign(first, first + result.counts[s - begin]);
       }
     });
   }
@@ -266,9 +266,13 @@ std::vector<LeafBases> findLeafBases(const std::vector<Eigen::Vector3f>& points,
   std::vector<std::vector<LeafBase>> found(midlines.size());
   parallelFor(midlines.size(),
               [&](std::size_t s) { around[s] = lookAround(points, members[s], *midlines[s]); });
-  const bool done = midlines.empty() || findOnGpu(around, device, found);
-  parallelFor(midlines.size(), [&](std::size_t s) {
-    bases[s] = LeafBases(done ? std::move(found[s]) : findAlone(around[s]), around[s].spread);
+  // While some are on the GPU others are made ready for it, and read from it.
+  constexpr std::size_t kAtOnce = 32U;
+  parallelChunks(midlines.size(), kAtOnce, [&](std::size_t begin, std::size_t end) {
+    const bool done = findOnGpu(around, begin, end, device, found);
+    for (std::size_t s = begin; s < end; ++s) {
+      bases[s] = LeafBases(done ? std::move(found[s]) : findAlone(around[s]), around[s].spread);
+    }
   });
   return bases;
 }

@@ -1,3 +1,5 @@
+#include <algorithm>
+
 #include "common/gpu_stream.hpp"
 #include "common/gpu_team.cuh"
 #include "segmentation/leaf_search_gpu.hpp"
@@ -50,25 +52,30 @@ __global__ void __launch_bounds__(kThreads) findLeaves(DeviceMemoryOfLeaves memo
 GpuLeafBases leafBasesOnGpu(GpuStream& stream, const std::vector<LeafSearchTask>& tasks) {
   std::vector<std::size_t> point_begins;
   GpuLeafBases result{};
-  std::vector<float> values;
   std::vector<LeafBase> guesses;
+  std::size_t points = 0U;
   for (const LeafSearchTask& task : tasks) {
-    point_begins.push_back(values.size() / kValues);
+    point_begins.push_back(points);
     result.begins.push_back(guesses.size());
+    points += static_cast<std::size_t>(task.count) + kLanes;
+    guesses.insert(guesses.end(), task.guesses, task.guesses + task.guess_count);
+  }
+  auto* const values = stream.pinned<float>(kValues * points);
+  float* next = values;
+  for (const LeafSearchTask& task : tasks) {
     const std::size_t padded = static_cast<std::size_t>(task.count) + kLanes;
     for (const float* of_points :
          {task.arc_lengths, task.azimuths, task.distances, task.radii, task.stem}) {
-      values.insert(values.end(), of_points, of_points + padded);
+      next = std::copy_n(of_points, padded, next);
     }
-    guesses.insert(guesses.end(), task.guesses, task.guesses + task.guess_count);
   }
   DeviceMemoryOfLeaves memory{};
   memory.tasks = stream.toDevice(tasks.data(), tasks.size());
   memory.point_begins = stream.toDevice(point_begins.data(), point_begins.size());
   memory.guess_begins = stream.toDevice(result.begins.data(), result.begins.size());
-  memory.values = stream.toDevice(values.data(), values.size());
+  memory.values = stream.pinnedToDevice(values, kValues * points);
   memory.guesses = stream.toDevice(guesses.data(), guesses.size());
-  memory.scratch = stream.device<float>(2U * (values.size() / kValues));
+  memory.scratch = stream.device<float>(2U * points);
   memory.candidates = stream.device<LeafBase>(2U * guesses.size());
   LeafBase* found = stream.device<LeafBase>(guesses.size());
   memory.found = found;

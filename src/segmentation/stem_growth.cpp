@@ -185,18 +185,18 @@ GrownStem growAlone(const StemToGrow& stem) {
   return grown;
 }
 
-/// Of all these stems on the GPU; false where they are to be grown on the CPU.
-bool growOnGpu(const std::vector<StemToGrow>& stems, const ComputeDevice& device,
-               std::vector<GrownStem>& grown) {
+/// Of stems begin ... end - 1 on the GPU; false where they are to be grown on the CPU.
+bool growOnGpu(const std::vector<StemToGrow>& stems, std::size_t begin, std::size_t end,
+               const ComputeDevice& device, std::vector<GrownStem>& grown) {
   if constexpr (kWithCuda) {
     return device.attempt([&](GpuStream& stream) {
       std::vector<GrowthTask> tasks;
-      for (const StemToGrow& stem : stems) tasks.push_back(stem.task);
+      for (std::size_t s = begin; s < end; ++s) tasks.push_back(stems[s].task);
       const GpuGrowth result = growStemsOnGpu(stream, tasks);
       const growth::RegionResult* regions = result.regions;
       const std::uint32_t* points = result.points;
-      for (std::size_t s = 0; s < stems.size(); ++s) {
-        grown[s] = grownStem(stems[s], result.outcomes[s], regions, points);
+      for (std::size_t s = begin; s < end; ++s) {
+        grown[s] = grownStem(stems[s], result.outcomes[s - begin], regions, points);
         regions += stems[s].regions.size();
         points += stems[s].members.size();
       }
@@ -236,8 +236,12 @@ std::vector<GrownStem> growStems(const GrowthScene& scene,
   }
   std::vector<StemToGrow> stems(midlines.size());
   parallelFor(midlines.size(), [&](std::size_t s) { stems[s] = stemToGrow(s); });
-  if (midlines.empty() || growOnGpu(stems, device, grown)) return grown;
-  parallelFor(midlines.size(), [&](std::size_t s) { grown[s] = growAlone(stems[s]); });
+  // While some are on the GPU others are made ready for it, and read from it.
+  constexpr std::size_t kAtOnce = 16U;
+  parallelChunks(stems.size(), kAtOnce, [&](std::size_t begin, std::size_t end) {
+    if (growOnGpu(stems, begin, end, device, grown)) return;
+    for (std::size_t s = begin; s < end; ++s) grown[s] = growAlone(stems[s]);
+  });
   return grown;
 }
 

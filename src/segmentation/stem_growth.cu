@@ -82,22 +82,18 @@ __global__ void __launch_bounds__(kThreads) growStemsOfBlock(DeviceMemoryOfGrowt
 
 GpuGrowth growStemsOnGpu(GpuStream& stream, const std::vector<GrowthTask>& tasks) {
   std::vector<Begin> begins;
-  std::vector<Place> points;
-  std::vector<LocalShapeNumbers> shapes;
   std::vector<GrowthRegionTask> regions;
   std::vector<LeafBase> leaf_bases;
   std::vector<AxisNode> nodes;
   std::vector<float> arc_lengths;
   std::vector<Place> directions;
+  std::size_t members = 0U;
   std::size_t bytes = 0U;
   std::size_t near_bytes = 0U;
   for (const GrowthTask& task : tasks) {
     begins.push_back(
-        {points.size(), regions.size(), leaf_bases.size(), nodes.size(), directions.size(), bytes});
-    for (int i = 0; i < task.count; ++i) {
-      points.push_back(task.points[task.members[i]]);
-      shapes.push_back(task.shapes[task.members[i]]);
-    }
+        {members, regions.size(), leaf_bases.size(), nodes.size(), directions.size(), bytes});
+    members += static_cast<std::size_t>(task.count);
     regions.insert(regions.end(), task.regions, task.regions + task.region_count);
     leaf_bases.insert(leaf_bases.end(), task.leaf_bases, task.leaf_bases + task.base_count);
     const AxisView& axis = task.axis;
@@ -108,11 +104,20 @@ GpuGrowth growStemsOnGpu(GpuStream& stream, const std::vector<GrowthTask>& tasks
     bytes += growth::cut(task, nullptr, uncut);
     if (nearBytes(task) <= kNearBytes) near_bytes = std::max(near_bytes, nearBytes(task));
   }
+  auto* const points = stream.pinned<Place>(members);
+  auto* const shapes = stream.pinned<LocalShapeNumbers>(members);
+  for (std::size_t k = 0; k < tasks.size(); ++k) {
+    const GrowthTask& task = tasks[k];
+    for (int i = 0; i < task.count; ++i) {
+      points[begins[k].member + static_cast<std::size_t>(i)] = task.points[task.members[i]];
+      shapes[begins[k].member + static_cast<std::size_t>(i)] = task.shapes[task.members[i]];
+    }
+  }
   DeviceMemoryOfGrowth memory{};
   memory.tasks = stream.toDevice(tasks.data(), tasks.size());
   memory.begins = stream.toDevice(begins.data(), begins.size());
-  memory.points = stream.toDevice(points.data(), points.size());
-  memory.shapes = stream.toDevice(shapes.data(), shapes.size());
+  memory.points = stream.pinnedToDevice(points, members);
+  memory.shapes = stream.pinnedToDevice(shapes, members);
   memory.regions = stream.toDevice(regions.data(), regions.size());
   memory.leaf_bases = stream.toDevice(leaf_bases.data(), leaf_bases.size());
   memory.nodes = stream.toDevice(nodes.data(), nodes.size());
@@ -121,14 +126,14 @@ GpuGrowth growStemsOnGpu(GpuStream& stream, const std::vector<GrowthTask>& tasks
   memory.memory = stream.device<char>(bytes);
   memory.outcomes = stream.device<growth::Outcome>(tasks.size());
   memory.results = stream.device<growth::RegionResult>(regions.size());
-  memory.kept = stream.device<std::uint32_t>(points.size());
+  memory.kept = stream.device<std::uint32_t>(members);
   growStemsOfBlock<<<static_cast<unsigned>(tasks.size()), kThreads, near_bytes, stream.get()>>>(
       memory);
   checkLaunch("growth of stems");
   GpuGrowth result{};
   result.outcomes = stream.toHost(memory.outcomes, tasks.size());
   result.regions = stream.toHost(memory.results, regions.size());
-  result.points = stream.toHost(memory.kept, points.size());
+  result.points = stream.toHost(memory.kept, members);
   stream.wait();
   return result;
 }

@@ -257,9 +257,9 @@ TEST_F(Gpu, SurfacePriorsAreTheSameBitForBit) {
   const StemAxis axis({{{0.002F, 0.0F, 0.0F}, 0.013F}, {{0.03F, 0.002F, 1.2F}, 0.009F}});
   const StemAxis thick({{{0.0F, 0.0F, 0.0F}, 0.5F}, {{0.0F, 0.0F, 1.2F}, 0.5F}});
   std::vector<StemToModel> stems;
-  for (unsigned seed = 0U; seed < 70U; ++seed) {  // more than are worked on at once
+  for (unsigned seed = 0U; seed < 140U; ++seed) {  // more than are worked on at once
     stems.push_back(
-        stemToModel(4U + 31U * seed, 0.0005 + 0.00002 * seed, seed % 3U ? 6.3 : 3.0, axis, seed));
+        stemToModel(4U + 15U * seed, 0.0005 + 0.00001 * seed, seed % 3U ? 6.3 : 3.0, axis, seed));
   }
   stems.push_back(stemToModel(0U, 0.001, 6.3, axis, 71U));
   stems.push_back(stemToModel(200U, 0.001, 6.3, thick, 72U));  // not a stem of that size
@@ -517,7 +517,8 @@ TEST_F(Gpu, GrownStemsAreTheSameBitForBit) {
     }
   }
   EXPECT_GT(cycles, 200U) << "of 40 stems, two times once and two times up to four times";
-  EXPECT_EQ(device_.use().gpu_steps, 8U) << "four times leaf bases and growth";
+  EXPECT_EQ(device_.use().gpu_steps, 20U)
+      << "four times two batches of leaf bases, three of growth";
   EXPECT_TRUE(growStems(scene, {}, 0.3F, parameters, device_).empty());
 }
 

@@ -12,6 +12,9 @@ namespace field_phenotyping {
 /// first exception thrown by a task is rethrown.
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task);
 
+/// Whether a task library was found at build time.
+bool hasTaskLibrary();
+
 constexpr std::size_t chunksOf(std::size_t count, std::size_t size) {
   return (count + size - 1U) / size;
 }

@@ -185,12 +185,23 @@ class InformationAdder {
     if constexpr (Team::kAlone) {
       addAllInformation<kSize, kFirst>(local, powers, sums);
     } else {
-      InformationSum own = first_;  // most have one sum or two
-      for (int i = rank_; i < sumsOf(kSize, 0); i += size_) {
-        if (i < sumsOf(kFirst, 0)) continue;
-        if (i != rank_) own = i == rank_ + size_ ? second_ : informationSum(i);
-        sums[i] += powers[own.power] * local[own.pair];
-      }
+      addAll<kFirst>(
+          1, [&](int /*k*/) { return local; }, [&](int /*k*/) { return powers; }, sums);
+    }
+  }
+
+  /// The same for `count` points, by a team of several members.
+  /// @param localAt, powersAt of a point, by its number
+  template <int kFirst = 0, class LocalAt, class PowersAt>
+  FIELD_PHENOTYPING_HD void addAll(int count, const LocalAt& localAt, const PowersAt& powersAt,
+                                   double* sums) const {
+    InformationSum own = first_;  // most have one sum or two
+    for (int i = rank_; i < sumsOf(kSize, 0); i += size_) {
+      if (i < sumsOf(kFirst, 0)) continue;
+      if (i != rank_) own = i == rank_ + size_ ? second_ : informationSum(i);
+      double sum = sums[i];
+      for (int k = 0; k < count; ++k) sum += powersAt(k)[own.power] * localAt(k)[own.pair];
+      sums[i] = sum;
     }
   }
 

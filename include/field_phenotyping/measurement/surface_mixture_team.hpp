@@ -105,6 +105,16 @@ struct PointScratch {
   float* counts;      // whether it does
 };
 
+/// Points that have been visited at once, one by each group of the team.
+struct Visited {
+  double* memory;   ///< pointScratchSize() numbers of each
+  std::size_t one;  ///< that
+  int bins;
+  int count;
+
+  FIELD_PHENOTYPING_HD PointScratch operator[](int k) const;
+};
+
 FIELD_PHENOTYPING_HD constexpr std::size_t pointScratchSize(int bins) {
   const auto n = static_cast<std::size_t>(paddedBins(bins));
   return kRecordSize + (n * (3U + kLocalSize) + 2U * n / kLanes + 1U) / 2U;
@@ -121,6 +131,10 @@ FIELD_PHENOTYPING_HD inline PointScratch pointScratchAt(double* memory, int bins
   s.candidates = takeFrom(at, n / static_cast<int>(kLanes));
   s.counts = takeFrom(at, n / static_cast<int>(kLanes));
   return s;
+}
+
+FIELD_PHENOTYPING_HD inline PointScratch Visited::operator[](int k) const {
+  return pointScratchAt(memory + static_cast<std::size_t>(k) * one, bins);
 }
 
 /// Memory that all members of the team see.
@@ -625,22 +639,19 @@ class SurfaceMixtureSolver {
     return point.scores + first_bin * kLocalSize + static_cast<std::size_t>(local) * kLanes;
   }
 
-  /// visit() for all points; add(what it found) in their order, by all members. These may read what
-  /// they have added up afterwards.
+  /// visit() for all points; add(those visited at once), whose values are to be added in their
+  /// order, by all members. These may read what they have added up afterwards.
   template <bool kAll, class Add>
   FIELD_PHENOTYPING_HD void visitPoints(const Constants& c, const Add& add) const {
-    const std::size_t one = mixture::pointScratchSize(bins_);
+    mixture::Visited visited{of_points_, mixture::pointScratchSize(bins_), bins_, 0};
     for (int first = 0; first < points_.count; first += groups()) {
       if (first + group() < points_.count) {
         const double* point = points_.places + 3 * static_cast<std::ptrdiff_t>(first + group());
-        visit<kAll>(team_.lanes(), point, c,
-                    mixture::pointScratchAt(of_points_ + team_.group() * one, bins_));
+        visit<kAll>(team_.lanes(), point, c, visited[group()]);
       }
       team_.sync();
-      const int there = points_.count - first < groups() ? points_.count - first : groups();
-      for (int k = 0; k < there; ++k) {
-        add(mixture::pointScratchAt(of_points_ + static_cast<std::size_t>(k) * one, bins_));
-      }
+      visited.count = points_.count - first < groups() ? points_.count - first : groups();
+      add(visited);
       team_.sync();
     }
   }
@@ -663,12 +674,15 @@ class SurfaceMixtureSolver {
     clearBins();
     team_.sync();
     double members = 0.0;
-    visitPoints<false>(c, [&](const mixture::PointScratch& point) {
-      members += point.record->member;
-      const auto lanes = team_.lanes();
-      forEachCandidate(point, group(), groups(), [&](int k) {
-        addTo(lanes, shared_.by_height + k, lanes.load(point.weights + k, 0U, kLanes));
-      });
+    visitPoints<false>(c, [&](const mixture::Visited& visited) {
+      for (int j = 0; j < visited.count; ++j) {
+        const mixture::PointScratch point = visited[j];
+        members += point.record->member;
+        const auto lanes = team_.lanes();
+        forEachCandidate(point, group(), groups(), [&](int k) {
+          addTo(lanes, shared_.by_height + k, lanes.load(point.weights + k, 0U, kLanes));
+        });
+      }
     });
     const double even = members / bins_;
     for (int k = rank(); k < bins_; k += size()) {
@@ -707,7 +721,13 @@ class SurfaceMixtureSolver {
     }
     clearBins();
     team_.sync();
-    visitPoints<true>(c, [&](const mixture::PointScratch& point) { add(point, sums); });
+    visitPoints<true>(c, [&](const mixture::Visited& visited) {
+      if constexpr (Team::kAlone) {
+        addOne(visited[0], sums);
+      } else {
+        addAll(visited, sums);
+      }
+    });
     if (weight_ < 1.0) weigh(sums);
     addStiffness(sums);
 
@@ -756,16 +776,14 @@ class SurfaceMixtureSolver {
     lanes.store(lanes.load(values, 0U, kLanes) + more, values, 0U, kLanes);
   }
 
-  /// Adds what one point says; each member what is its own, of the bins those of its group's packs.
-  FIELD_PHENOTYPING_HD void add(const mixture::PointScratch& point, mixture::Sums& sums) const {
+  /// Adds what one point says, by a member that is alone: of the bins only those that it may be of.
+  FIELD_PHENOTYPING_HD void addOne(const mixture::PointScratch& point, mixture::Sums& sums) const {
     const mixture::Record& record = *point.record;
     const double outside = 1.0 - record.member;
-    if (rank() == 0) {
-      sums.log_density += record.log_density;
-      sums.members += record.member;
-      sums.doubt += record.member * outside;
-    }
-    for (int i = rank(); i < kCrossSectionSize; i += size()) {
+    sums.log_density += record.log_density;
+    sums.members += record.member;
+    sums.doubt += record.member * outside;
+    for (int i = 0; i < kCrossSectionSize; ++i) {
       const double score = record.powers[powerOf(i)] * record.score[localOf(i)];
       sums.score[i] += score;
       sums.cross_outliers[i] += outside * score;
@@ -779,7 +797,7 @@ class SurfaceMixtureSolver {
     for (int i = 0; i < kHeightPowers; ++i) powers[i] = static_cast<float>(record.powers[i]);
     float mean[kLocalSize];
     for (int a = 0; a < kLocalSize; ++a) mean[a] = static_cast<float>(record.score[a]);
-    forEachCandidate(point, group(), groups(), [&](int k) {
+    forEachCandidate(point, 0, 1, [&](int k) {
       const Float weight = lanes.load(point.weights + k, 0U, kLanes);
       for (int i = 0; i < kHeightPowers; ++i) {
         addTo(lanes, shared_.by_height + i * padded_ + k, weight * lanes.all(powers[i]));
@@ -801,6 +819,73 @@ class SurfaceMixtureSolver {
         }
       });
     });
+  }
+
+  /// addOne() for some points, by many members: each adds up values of its own in registers.
+  FIELD_PHENOTYPING_HD void addAll(const mixture::Visited& visited, mixture::Sums& sums) const {
+    const int count = visited.count;
+    if (rank() == 0) {
+      for (int k = 0; k < count; ++k) {
+        const mixture::Record& record = *visited[k].record;
+        sums.log_density += record.log_density;
+        sums.members += record.member;
+        sums.doubt += record.member * (1.0 - record.member);
+      }
+    }
+    for (int i = rank(); i < kCrossSectionSize; i += size()) {
+      double scores = sums.score[i];
+      double outliers = sums.cross_outliers[i];
+      for (int k = 0; k < count; ++k) {
+        const mixture::Record& record = *visited[k].record;
+        const double score = record.powers[powerOf(i)] * record.score[localOf(i)];
+        scores += score;
+        outliers += (1.0 - record.member) * score;
+      }
+      sums.score[i] = scores;
+      sums.cross_outliers[i] = outliers;
+    }
+    information_.template addAll<kLocalNoise>(
+        count, [&](int k) { return visited[k].record->known; },
+        [&](int k) { return visited[k].record->powers; }, sums.known);
+    information_.addAll(
+        count, [&](int k) { return visited[k].record->missing; },
+        [&](int k) { return visited[k].record->powers; }, sums.missing);
+
+    using Point = mixture::PointScratch;
+    addUp(visited, shared_.by_height, kHeightPowers, [](const Point& point, int power, int bin) {
+      return point.weights[bin] * static_cast<float>(point.record->powers[power]);
+    });
+    addUp(visited, shared_.outlying, 1, [](const Point& point, int /*row*/, int bin) {
+      return static_cast<float>(1.0 - point.record->member) * point.weights[bin];
+    });
+    addUp(visited, shared_.cross, kCrossSectionSize, [](const Point& point, int i, int bin) {
+      const int lane = bin % kPack;
+      const float score = scoresAt(point, static_cast<std::size_t>(bin - lane), localOf(i))[lane];
+      const float weighted =
+          point.weights[bin] * (score - static_cast<float>(point.record->score[localOf(i)]));
+      return weighted * static_cast<float>(point.record->powers[powerOf(i)]);
+    });
+    addUp(visited, shared_.together, padded_, [](const Point& point, int other, int bin) {
+      // Later packs' are never read; of a pack that does not count there is nothing to add.
+      if (bin / kPack > other / kPack || !(point.counts[other / kPack] > 0.0F)) return 0.0F;
+      return point.weights[other] * point.weights[bin];
+    });
+  }
+
+  /// Adds what points say to `rows` values of each bin.
+  template <class ValueOf>
+  FIELD_PHENOTYPING_HD void addUp(const mixture::Visited& visited, float* values, int rows,
+                                  const ValueOf& valueOf) const {
+    for (int i = rank(); i < rows * padded_; i += size()) {
+      const int row = i / padded_;
+      const int bin = i - row * padded_;
+      float sum = values[i];
+      for (int k = 0; k < visited.count; ++k) {
+        const mixture::PointScratch point = visited[k];
+        if (point.counts[bin / kPack] > 0.0F) sum += valueOf(point, row, bin);
+      }
+      values[i] = sum;
+    }
   }
 
   template <int kIndex = 0, class Lanes>
@@ -1026,29 +1111,32 @@ class SurfaceMixtureSolver {
     clearBins();
     team_.sync();
     double squares = 0.0;
-    visitPoints<false>(c, [&](const mixture::PointScratch& point) {
-      const mixture::Record& record = *point.record;
-      squares += record.score[localOf(kRadius)] * record.score[localOf(kRadius)];
-      const auto at = static_cast<int>(record.patch);
-      double* const patch = patches + at * unknowns_;
-      if (rank() == 0) {
-        members[at] += record.member;
-        patch[unknowns_ - 1] += 1.0 - record.member - outlier_share;
-      }
-      for (int i = rank(); i < kCrossSectionSize; i += size()) {
-        patch[i] += record.powers[powerOf(i)] * record.score[localOf(i)];
-      }
-      const auto lanes = team_.lanes();
-      forEachCandidate(point, group(), groups(), [&](int k) {
-        const auto weight = lanes.load(point.weights + k, 0U, kLanes);
-        for (int i = 0; i < kHeightPowers; ++i) {
-          addTo(lanes, shared_.by_height + i * padded_ + k,
-                weight * lanes.all(static_cast<float>(record.powers[i])));
+    visitPoints<false>(c, [&](const mixture::Visited& visited) {
+      for (int j = 0; j < visited.count; ++j) {
+        const mixture::PointScratch point = visited[j];
+        const mixture::Record& record = *point.record;
+        squares += record.score[localOf(kRadius)] * record.score[localOf(kRadius)];
+        const auto at = static_cast<int>(record.patch);
+        double* const patch = patches + at * unknowns_;
+        if (rank() == 0) {
+          members[at] += record.member;
+          patch[unknowns_ - 1] += 1.0 - record.member - outlier_share;
         }
-        for (int bin = k + lane(); bin < k + kPack && bin < bins_; bin += this->lanes()) {
-          patch[kCrossSectionSize + bin] += static_cast<double>(point.weights[bin]);
+        for (int i = rank(); i < kCrossSectionSize; i += size()) {
+          patch[i] += record.powers[powerOf(i)] * record.score[localOf(i)];
         }
-      });
+        const auto lanes = team_.lanes();
+        forEachCandidate(point, group(), groups(), [&](int k) {
+          const auto weight = lanes.load(point.weights + k, 0U, kLanes);
+          for (int i = 0; i < kHeightPowers; ++i) {
+            addTo(lanes, shared_.by_height + i * padded_ + k,
+                  weight * lanes.all(static_cast<float>(record.powers[i])));
+          }
+          for (int bin = k + lane(); bin < k + kPack && bin < bins_; bin += this->lanes()) {
+            patch[kCrossSectionSize + bin] += static_cast<double>(point.weights[bin]);
+          }
+        });
+      }
     });
     double together = 0.0;
     for (int at = 0; at < mixture::kPatches; ++at) {
