@@ -136,7 +136,7 @@ class VoxelLabels {
         tile = at;
         of_tile = &labels[tile];
       }
-      of_tile->push_back({keyOf(p, tile), label});
+      of_tile->push_back({keyOf(localOf(p, tile)), label});
     };
     std::vector<PointLabel> of_source(labelled.dense.points.size());  // more than there are
     for (const Plant& plant : block.plants) {
@@ -174,14 +174,14 @@ class VoxelLabels {
     if (labels == labels_.end()) return {};
     const Eigen::Vector3f local = localOf(p, tile);
     if (!hasVoxelKey(local, map_.voxelSize())) return {};
-    return {&labels->second, voxelKey(local, map_.voxelSize())};
+    return {&labels->second, keyOf(local)};
   }
 
   Eigen::Vector3f localOf(const Eigen::Vector3d& p, const BlockIndex& tile) const {
     return (p - map_.originOf(tile)).cast<float>();
   }
-  VoxelKey keyOf(const Eigen::Vector3d& p, const BlockIndex& tile) const {
-    return voxelKey(localOf(p, tile), map_.voxelSize());
+  VoxelKey keyOf(const Eigen::Vector3f& local) const {
+    return voxelKeyOf({local.x(), local.y(), local.z()}, map_.voxelSize());
   }
 
   VoxelMap map_;

@@ -10,6 +10,8 @@
 #include <utility>
 
 #include "common/gpu_streams.hpp"
+#include "field_phenotyping/common/bounds.hpp"
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
@@ -37,12 +39,8 @@ struct Extent {
 };
 
 Extent extentOf(const std::vector<Eigen::Vector3f>& points) {
-  Extent extent{points.front().head<2>(), points.front().head<2>()};
-  for (const Eigen::Vector3f& p : points) {
-    extent.low = extent.low.cwiseMin(p.head<2>());
-    extent.high = extent.high.cwiseMax(p.head<2>());
-  }
-  return extent;
+  const Bounds bounds = boundsOf(points);
+  return {bounds.low.head<2>(), bounds.high.head<2>()};
 }
 
 /// The lowest point of every occupied cell of a horizontal grid.
@@ -384,10 +382,11 @@ std::vector<std::uint8_t> soilAtFeet(const PointCloud& cloud, const GroundModel&
   constexpr float kReach = 0.035F;    // [m] beside it: a stem's width and some soil to compare with
   std::vector<std::uint8_t> at_feet(cloud.size(), 0U);
   std::vector<Eigen::Vector3f> feet;  // seen from above
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    const Eigen::Vector3f& p = cloud.points[i];
-    if (is_ground[i] == 0U && ground.heightAbove(p) < kStanding)
-      feet.emplace_back(p.x(), p.y(), 0.0F);
+  const auto isFoot = [&](std::size_t i) {
+    return is_ground[i] == 0U && ground.heightAbove(cloud.points[i]) < kStanding;
+  };
+  for (const std::uint32_t i : indicesWhere(cloud.size(), isFoot)) {
+    feet.emplace_back(cloud.points[i].x(), cloud.points[i].y(), 0.0F);
   }
   const NeighborGrid grid(feet, kReach);
   parallelChunks(cloud.size(), kPointsOfTask, [&](std::size_t begin, std::size_t end) {

@@ -7,6 +7,7 @@
 #include "common/xyz.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/preprocessing/outlier_filter_team.hpp"
 #include "preprocessing/outlier_filter_gpu.hpp"
@@ -36,9 +37,13 @@ class CpuSearch {
   std::vector<std::uint8_t> company(float radius, std::uint32_t wanted) const {
     std::vector<std::uint8_t> company(points_.size());
     const GridView view = grid_.view();
-    for (std::uint32_t k = 0; k < view.size; ++k) {
-      company[view.order[k]] = hasCompany(VectorLanes(), view, k, radius, wanted) ? 1U : 0U;
-    }
+    constexpr std::size_t kChunk = 16384U;  // points of a task
+    parallelChunks(view.size, kChunk, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t k = begin; k < end; ++k) {
+        const auto at = static_cast<std::uint32_t>(k);
+        company[view.order[k]] = hasCompany(VectorLanes(), view, at, radius, wanted) ? 1U : 0U;
+      }
+    });
     return company;
   }
 

@@ -7,6 +7,7 @@
 #include <set>
 #include <utility>
 
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/spatial_order.hpp"
@@ -61,12 +62,8 @@ struct PlacedPoints {
 
 PointCloud select(const PointCloud& cloud, const std::vector<std::uint8_t>& flags,
                   std::uint8_t wanted) {
-  PointCloud kept = cloud.emptyAlike();
-  kept.reserveLike(cloud, static_cast<std::size_t>(std::count(flags.begin(), flags.end(), wanted)));
-  for (std::size_t i = 0; i < flags.size(); ++i) {
-    if (flags[i] == wanted) kept.take(cloud, i);
-  }
-  return kept;
+  return taken(cloud,
+               indicesWhere(flags.size(), [&](std::size_t i) { return flags[i] == wanted; }));
 }
 
 /// Puts a thinned cloud in spatialOrder(): the stages that follow go from neighbour to neighbour,
@@ -75,16 +72,17 @@ void putInOrder(PointCloud& cloud, DensePoints& dense) {
   constexpr std::size_t kFitsCache = 65536U;
   if (cloud.size() <= kFitsCache) return;
   const std::vector<std::uint32_t> order = spatialOrder(cloud.points);
-  PointCloud ordered = cloud.emptyAlike();
-  ordered.reserveLike(cloud, order.size());
-  for (const std::uint32_t i : order) ordered.take(cloud, i);
-  cloud = std::move(ordered);
+  cloud = taken(cloud, order);
   if (dense.empty()) return;
   std::vector<std::uint32_t> place(order.size());  // of each point in the order
   for (std::uint32_t k = 0; k < order.size(); ++k) place[order[k]] = k;
-  for (std::uint32_t& number : dense.thinned) {
-    if (number < place.size()) number = place[number];
-  }
+  constexpr std::size_t kChunk = 65536U;
+  parallelChunks(dense.thinned.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      std::uint32_t& number = dense.thinned[i];
+      if (number < place.size()) number = place[number];
+    }
+  });
 }
 
 }  // namespace

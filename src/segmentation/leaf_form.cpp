@@ -74,9 +74,10 @@ float heightOfCrowns(const std::vector<LeafHost>& hosts) {
 }
 
 /// Whether a place is too far from the stem to be its own spike, found or not.
-bool isBeside(const Eigen::Vector3f& place, const LeafHost& host) {
+/// @param distance from its line [m]
+bool isBeside(float distance) {
   constexpr float kSpike = 0.08F;  // [m] with its bend
-  return distanceFromLine(place, host) > kSpike;
+  return distance > kSpike;
 }
 
 /// Whether a place is where the organ may go on that was followed.
@@ -128,7 +129,9 @@ LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& h
   constexpr float kLeastLinearity = 0.3F;
   struct Look {
     bool beside = false;  // the stem
-    bool shown = false;   // the form, by what follows
+    std::size_t layer = 0U;
+    std::size_t far_bin = 0U;
+    bool shown = false;  // the form, by what follows
     std::size_t bin = 0U;
     std::size_t band = 0U;
     float slope = 0.0F;
@@ -140,7 +143,10 @@ LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& h
       if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
       const LeafHost& host = hosts[static_cast<std::size_t>(cells.owner[n])];
       Look& look = looks[n];
-      look.beside = isBeside(cells.centers[n], host);
+      const float distance = distanceFromLine(cells.centers[n], host);
+      look.beside = isBeside(distance);
+      look.layer = static_cast<std::size_t>(heightAboveBase(cells.centers[n], host) / kLayer);
+      look.far_bin = std::min(static_cast<std::size_t>(distance / kBin), kFarBins - 1U);
       if (cells.shapes[n].linearity < kLeastLinearity) continue;
       std::size_t segment = 0U;
       const OrganLanes organ = lanesOf(cells.shapes[n], cells.centers[n]);
@@ -155,8 +161,12 @@ LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& h
   std::vector<std::vector<float>> rises(hosts.size());  // [m]
   Samples whole;
   std::array<Samples, kBands> samples;
+  std::vector<Reach> counts;  // of cells, layer by layer
   for (std::size_t n = 0; n < looks.size(); ++n) {
+    if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
     const Look& look = looks[n];
+    if (look.layer >= counts.size()) counts.resize(look.layer + 1U, Reach{});
+    counts[look.layer][look.far_bin] += 1.0F;
     if (look.beside) {
       const auto plant = static_cast<std::size_t>(cells.owner[n]);
       rises[plant].push_back(cells.centers[n].z() - hosts[plant].top);
@@ -174,7 +184,7 @@ LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& h
   }
   form.learnCeiling(std::move(rises));
   form.learnTips(hosts);
-  form.learnReaches(cells, hosts);
+  form.learnReaches(counts, hosts);
   return form;
 }
 
@@ -199,7 +209,8 @@ float LeafForm::tooHigh(const Eigen::Vector3f& place, const LeafHost& host) cons
   constexpr float kTipStddev = 0.015F;  // [m]
   if (!ceiling_ || place.z() <= host.top + std::min(*ceiling_, 0.0F)) return 0.0F;
   float off = 0.0F;
-  if (isBeside(place, host)) off = (place.z() - host.top - *ceiling_) / rise_spread_;
+  if (isBeside(distanceFromLine(place, host)))
+    off = (place.z() - host.top - *ceiling_) / rise_spread_;
   if (hasTip(host) && !goesOn(host.end, place)) {
     off = std::max(off, (place.z() - host.top) / kTipStddev);
   }
@@ -219,19 +230,11 @@ float LeafForm::tooFar(const Eigen::Vector3f& place, const LeafHost& host) const
   return (1.0F - share) * reach[k] + share * reach[k + 1U];
 }
 
-void LeafForm::learnReaches(const OrganCells& cells, const std::vector<LeafHost>& hosts) {
+/// @param counts of cells, layer by layer
+void LeafForm::learnReaches(const std::vector<Reach>& counts, const std::vector<LeafHost>& hosts) {
   constexpr float kLeastCells = 50.0F;  // that show where organs of a layer stand
   constexpr float kAnywhere = 0.02F;    // share of cells that may be any plant's
   constexpr float kSay = 0.5F;          // of the log ratio: cells of one organ stand together
-  std::vector<Reach> counts;            // of cells, layer by layer
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (cells.is_stem[n] != 0U || cells.owner[n] < 0) continue;
-    const LeafHost& host = hosts[static_cast<std::size_t>(cells.owner[n])];
-    const auto layer = static_cast<std::size_t>(heightAboveBase(cells.centers[n], host) / kLayer);
-    if (layer >= counts.size()) counts.resize(layer + 1U, Reach{});
-    const auto bin = static_cast<std::size_t>(distanceFromLine(cells.centers[n], host) / kBin);
-    counts[layer][std::min(bin, kFarBins - 1U)] += 1.0F;
-  }
   const float crowns = heightOfCrowns(hosts);
   reaches_.assign(counts.size(), Reach{});
   for (std::size_t layer = 0; layer < counts.size(); ++layer) {

@@ -7,6 +7,7 @@
 #include <queue>
 #include <utility>
 
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/minimum_cut.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
@@ -368,13 +369,18 @@ float shapeRadius(float noise) {
 /// Standard deviation of the points across a surface [m], which the stems show.
 float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
               const std::vector<std::int32_t>& owner) {
-  std::vector<float> off;
-  for (std::size_t i = 0; i < owner.size(); ++i) {
-    if (owner[i] < 0) continue;
-    const StemAxis::Projection at =
-        axes[static_cast<std::size_t>(owner[i])].project(block.cloud.points[i]);
-    off.push_back(std::abs(at.distance - at.radius));
-  }
+  const std::vector<std::uint32_t> of_stems =
+      indicesWhere(owner.size(), [&](std::size_t i) { return owner[i] >= 0; });
+  std::vector<float> off(of_stems.size());
+  constexpr std::size_t kPoints = 4096U;  // of a task
+  parallelChunks(of_stems.size(), kPoints, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) {
+      const std::uint32_t i = of_stems[k];
+      const StemAxis::Projection at =
+          axes[static_cast<std::size_t>(owner[i])].project(block.cloud.points[i]);
+      off[k] = std::abs(at.distance - at.radius);
+    }
+  });
   return off.empty() ? 0.0F : static_cast<float>(kMadToSigma) * medianOf(off);
 }
 

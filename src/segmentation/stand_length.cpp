@@ -2,10 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <iterator>
 #include <limits>
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/normal_distribution.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -73,42 +76,60 @@ StandFit fitStandLength(const std::vector<double>& shown, double relative_spread
   constexpr double kStrange = 0.03;  // share of stems that are nothing of the kind
   constexpr double kLowest = 0.5;    // of the median shown
   constexpr double kHighest = 1.15;
-  constexpr int kSteps = 65;
-  StandFit best;
-  if (shown.size() < kLeastStems) return best;
+  constexpr std::size_t kSteps = 65U;
+  constexpr double kExcesses[] = {0.03, 0.06, 0.1, 0.2, 0.35};
+  constexpr double kWider[] = {1.0, 1.5};  // where the ends themselves are uncertain
+  if (shown.size() < kLeastStems) return {};
   const double median = medianOf(shown);
-  best.log_likelihood = -std::numeric_limits<double>::infinity();
-  const auto tryOne = [&](StandLength stand) {
+  /// How likely the lengths are, whatever the stems' excess.
+  struct Densities {
     std::vector<double> ended;
-    std::vector<double> ran_on;
     std::vector<double> other;
+  };
+  const auto densitiesOf = [&](const StandLength& stand) {
+    Densities densities;
     for (const double length : shown) {
-      ended.push_back(lengthDensity(stand, length));
-      ran_on.push_back(excessDensity(stand, length));
+      densities.ended.push_back(lengthDensity(stand, length));
       const double stopped = short_share > 0.0 ? short_share * deficitDensity(stand, length) : 0.0;
-      other.push_back((1.0 - kStrange) * stopped + kStrange / (2.0 * median));
+      densities.other.push_back((1.0 - kStrange) * stopped + kStrange / (2.0 * median));
     }
+    return densities;
+  };
+  const auto tryOne = [&](StandLength stand, const Densities& densities, StandFit& best) {
+    std::vector<double> ran_on;
+    for (const double length : shown) ran_on.push_back(excessDensity(stand, length));
     for (const double share : {0.0, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9}) {
       stand.excess_share = share;
       double sum = 0.0;
       for (std::size_t i = 0; i < shown.size(); ++i) {
         sum += std::log((1.0 - kStrange) * (1.0 - short_share) *
-                            ((1.0 - share) * ended[i] + share * ran_on[i]) +
-                        other[i]);
+                            ((1.0 - share) * densities.ended[i] + share * ran_on[i]) +
+                        densities.other[i]);
       }
       if (sum > best.log_likelihood) best = {stand, sum};
     }
   };
-  for (int k = 0; k <= kSteps; ++k) {
-    const double typical = median * (kLowest + (kHighest - kLowest) * k / kSteps);
-    for (const double excess : {0.03, 0.06, 0.1, 0.2, 0.35}) {
-      // Wider where the ends themselves are uncertain.
-      for (const double wider : {1.0, 1.5}) {
-        tryOne({typical, wider * relative_spread * typical, excess * typical, 0.0});
+  StandFit none;
+  none.log_likelihood = -std::numeric_limits<double>::infinity();
+  std::vector<StandFit> fits(kSteps + 1U, none);  // the best of each typical length
+  parallelFor(fits.size(), [&](std::size_t k) {
+    const double typical =
+        median * (kLowest + (kHighest - kLowest) * static_cast<double>(k) / kSteps);
+    const auto standOf = [&](double wider, double excess) {
+      return StandLength{typical, wider * relative_spread * typical, excess * typical, 0.0};
+    };
+    const Densities densities[] = {densitiesOf(standOf(kWider[0], 0.0)),
+                                   densitiesOf(standOf(kWider[1], 0.0))};
+    for (const double excess : kExcesses) {
+      for (std::size_t w = 0; w < std::size(kWider); ++w) {
+        tryOne(standOf(kWider[w], excess), densities[w], fits[k]);
       }
     }
-  }
-  return best;
+  });
+  // The first of the best.
+  return *std::max_element(fits.begin(), fits.end(), [](const StandFit& a, const StandFit& b) {
+    return a.log_likelihood < b.log_likelihood;
+  });
 }
 
 std::vector<StandLength> standLengths(const std::vector<double>& shown,

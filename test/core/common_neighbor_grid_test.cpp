@@ -4,8 +4,10 @@
 
 #include <algorithm>
 #include <limits>
+#include <numeric>
 #include <random>
 #include <stdexcept>
+#include <tuple>
 #include <vector>
 
 #include "field_phenotyping/common/neighbor_grid.hpp"
@@ -169,6 +171,29 @@ TEST(NeighborGrid, SameOrderEveryTime) {
   second.within({0.1F, -0.2F, 0.3F}, 0.5F, b);
   ASSERT_GT(a.size(), 50U);
   EXPECT_EQ(a, b);
+}
+
+TEST(NeighborGrid, ManyPointsAreSortedByRowCellAndNumber) {
+  // Tables of cells, of several cells, and none.
+  for (const float cell : {0.1F, 0.007F, 0.0005F}) {
+    const Points points = randomPoints(50000U, {-1.0F, -1.0F, -1.0F}, {1.0F, 1.0F, 1.0F}, 9U);
+    const GridGeometry geometry = gridGeometry(points, cell);
+    ASSERT_EQ(geometry.has_table, cell > 0.001F);
+    ASSERT_EQ(geometry.bucket_shift > 0U, geometry.has_table && cell < 0.01F);
+    const auto placeOf = [&](std::uint32_t i) {
+      const auto row = geometry.rowOf(geometry.cellOf(points[i].y(), 1),  //
+                                      geometry.cellOf(points[i].z(), 2));
+      return std::make_tuple(row, geometry.cellOf(points[i].x(), 0), i);
+    };
+    std::vector<std::uint32_t> expected(points.size());
+    std::iota(expected.begin(), expected.end(), 0U);
+    std::sort(expected.begin(), expected.end(),
+              [&](std::uint32_t a, std::uint32_t b) { return placeOf(a) < placeOf(b); });
+    const NeighborGrid grid(points, cell);
+    for (std::size_t k = 0; k < points.size(); ++k) ASSERT_EQ(grid.sorted(k), expected[k]) << k;
+    const Points centers(points.begin(), points.begin() + 20);
+    expectLikeBruteForce(points, centers, cell, cell);
+  }
 }
 
 TEST(NeighborGrid, RefusesWhatItCannotHold) {

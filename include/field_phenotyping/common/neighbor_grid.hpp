@@ -8,6 +8,7 @@
 
 #include "field_phenotyping/common/grid_view.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/common/unset_vector.hpp"
 
 namespace field_phenotyping {
 
@@ -132,16 +133,17 @@ class NeighborGrid {
   // depends on the points alone.
   void sortByBuckets(const std::vector<Eigen::Vector3f>& points);
   void sortByRows(const std::vector<Eigen::Vector3f>& points);
+  void copyPoints(const std::vector<Eigen::Vector3f>& points, std::size_t begin, std::size_t end);
   std::uint64_t rowOf(const Eigen::Vector3f& point) const;
 
   GridGeometry geometry_;
-  std::vector<int> cell_x_;           // of each sorted point; empty where buckets are cells
-  std::vector<std::uint32_t> order_;  // source index of each sorted point
+  UnsetVector<int> cell_x_;           // of each sorted point; empty where buckets are cells
+  UnsetVector<std::uint32_t> order_;  // source index of each sorted point
   // The sorted points, padded so that the last lanes can be loaded.
-  std::vector<float> x_;
-  std::vector<float> y_;
-  std::vector<float> z_;
-  std::vector<std::uint32_t> begin_;  // table of buckets, where it is not too large, or else
+  UnsetVector<float> x_;
+  UnsetVector<float> y_;
+  UnsetVector<float> z_;
+  UnsetVector<std::uint32_t> begin_;  // table of buckets, where it is not too large, or else
   std::vector<std::uint64_t> rows_;   // the row of each sorted point
 };
 

@@ -53,6 +53,10 @@ struct PointCloud {
   Eigen::Vector3d mapPoint(std::size_t i) const { return origin + points[i].cast<double>(); }
 };
 
+/// The points of a cloud that have these numbers, in their order, with what it knows of them. Works
+/// on all cores.
+PointCloud taken(const PointCloud& from, const std::vector<std::uint32_t>& indices);
+
 /// Half-open range [begin, end) of indices into a cloud's points.
 struct IndexSpan {
   std::uint32_t begin = 0;

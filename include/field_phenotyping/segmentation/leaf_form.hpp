@@ -104,7 +104,7 @@ class LeafForm {
   bool hasTip(const LeafHost& host) const;
   void learnTips(const std::vector<LeafHost>& hosts);
   void learnCeiling(std::vector<std::vector<float>> rises);
-  void learnReaches(const OrganCells& cells, const std::vector<LeafHost>& hosts);
+  void learnReaches(const std::vector<Reach>& counts, const std::vector<LeafHost>& hosts);
 
   std::array<Profile, kBands> bands_;
   std::vector<Reach> reaches_;    // of each layer
