@@ -117,7 +117,7 @@ void NeighborGrid::sortByBuckets(const std::vector<Eigen::Vector3f>& points) {
   parallelFor(members.partitions(), [&](std::size_t p) {
     const std::size_t low = p << shift;
     const std::size_t high = std::min(low + (std::size_t{1} << shift), geometry_.buckets);
-    std::fill(begin_.begin() + low, begin_.begin() + high, 0U);
+    std::fill(begin_.data() + low, begin_.data() + high, 0U);
     members.forEachOf(p, [&](const Member& member) { ++begin_[member.bucket]; });
     // Where each bucket ends is counted back while it is filled, to where it begins.
     std::uint32_t end = first[p];
