@@ -188,7 +188,7 @@ std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
       if (misfits_of[plant].empty()) continue;
       for (const Misfit& misfit : misfits_of[plant]) misfits[misfit.piece] = misfit.cost;
 
-      constexpr float kBeyondTop = 0.15F;  // [m] leaves of the whorl stand on above the end
+      constexpr float kBeyondTop = 0.4F;  // [m] to where whorls open, and leaves come into sight
       const float slab = 0.5F * reach;
       for (float s = 0.0F; s <= axis.length() + kBeyondTop; s += slab) {
         const Eigen::Vector3f middle = axis.pointAt(s);
