@@ -189,12 +189,16 @@ std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
       for (const Misfit& misfit : misfits_of[plant]) misfits[misfit.piece] = misfit.cost;
 
       constexpr float kBeyondTop = 0.4F;  // [m] to where whorls open, and leaves come into sight
-      constexpr float kBeyondScale = 0.025F;  // [m] beyond the end that costs 1
+      constexpr float kFreely = 0.15F;    // [m] beyond the end, where many leaves begin
+      constexpr float kBeyondScale = 0.025F;  // [m] farther on that costs 1
       const float slab = 0.5F * reach;
       for (float s = 0.0F; s <= axis.length() + kBeyondTop; s += slab) {
         const Eigen::Vector3f middle = axis.pointAt(s);
         const float radius = axis.radiusAt(s);
-        const float beyond = std::max(0.0F, s - axis.length()) / kBeyondScale;
+        // Not along what carries the stem on.
+        const float farther = std::max(0.0F, s - axis.length() - kFreely);
+        const float beyond =
+            std::clamp(middle.z() - hosts[plant].top, 0.0F, farther) / kBeyondScale;
         grid.forEachWithin(middle, reach, [&](std::uint32_t n, float) {
           if (pieces.of_cell[n] < 0) return;
           const Eigen::Vector3f& center = cells.centers[n];
