@@ -189,11 +189,17 @@ std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
       if (misfits_of[plant].empty()) continue;
       for (const Misfit& misfit : misfits_of[plant]) misfits[misfit.piece] = misfit.cost;
 
-      constexpr float kBeyondTop = 0.15F;  // [m] leaves of the whorl stand on above the end
+      constexpr float kBeyondTop = 0.4F;  // [m] to where whorls open, and leaves come into sight
+      constexpr float kFreely = 0.15F;    // [m] beyond the end, where many leaves begin
+      constexpr float kBeyondScale = 0.025F;  // [m] farther on that costs 1
       const float slab = 0.5F * reach;
       for (float s = 0.0F; s <= axis.length() + kBeyondTop; s += slab) {
         const Eigen::Vector3f middle = axis.pointAt(s);
         const float radius = axis.radiusAt(s);
+        // Not along what carries the stem on.
+        const float farther = std::max(0.0F, s - axis.length() - kFreely);
+        const float beyond =
+            std::clamp(middle.z() - hosts[plant].top, 0.0F, farther) / kBeyondScale;
         grid.forEachWithin(middle, reach, [&](std::uint32_t n, float) {
           if (pieces.of_cell[n] < 0) return;
           const Eigen::Vector3f& center = cells.centers[n];
@@ -202,10 +208,11 @@ std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
           if (misfits[piece] == kNone) return;
           const float away = (center - axis.pointAtHeight(center.z())).head<2>().norm();
           const float gap = std::max(0.0F, away - radius);
-          if (gap >= kGapScale * start[piece]) return;
+          const float from_stem = beyond + gap / kGapScale;
+          if (from_stem >= start[piece]) return;
           if (gap > kOrganStep && cells.is_low[n] != 0U) return;
-          start[piece] = std::min(
-              start[piece], gap / kGapScale + form.misfit(cells.shapes[n], center, hosts[plant]));
+          start[piece] = std::min(start[piece],
+                                  from_stem + form.misfit(cells.shapes[n], center, hosts[plant]));
         });
       }
 

@@ -252,11 +252,11 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const std::vector<StemAxis> axes = axesOf(stems);
   PointOwners isolated = findIsolatedPoints(block, grid, axes, owners);
   giveCrownPoints(block, axes, sampling.sparseFrom(), owners, isolated);
-  giveTopsBack(block.cloud.points, axes, owners);
+  const std::vector<float> given = giveTopsBack(block.cloud.points, axes, owners);
   SegmentedBlock out = assemble(block, stems, owners, isolated);
   const std::vector<float> disputed = doubtTops(out);
   for (std::size_t s = 0; s < out.plants.size(); ++s) {
-    out.plants[s].top_stddev = std::hypot(top_stddevs[s], disputed[s]);
+    out.plants[s].top_stddev = std::hypot(top_stddevs[s], given[s], disputed[s]);
   }
   return out;
 }

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <functional>
+#include <limits>
 #include <numeric>
 #include <optional>
 #include <utility>
@@ -223,19 +224,21 @@ class HighestPoints {
 
 }  // namespace
 
-void giveTopsBack(const std::vector<Eigen::Vector3f>& points, const std::vector<StemAxis>& axes,
-                  PointOwners& owners) {
+std::vector<float> giveTopsBack(const std::vector<Eigen::Vector3f>& points,
+                                const std::vector<StemAxis>& axes, PointOwners& owners) {
   constexpr double kMostByChance = 0.2;  // share of tops
   constexpr float kAside = 0.15F;        // [m] no tassel, however it bends, but a leaf
   constexpr float kLeastRise = 0.15F;    // [m]
   constexpr std::size_t kFewest = 20U;   // points within the tube
+  constexpr float kWrong = 0.5F;         // share of what was given, in fields of real plants
   PointsOfPlants of_plants(axes.size());
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     const std::int32_t plant = owners.of(i);
     if (plant >= 0) of_plants[static_cast<std::size_t>(plant)].push_back(i);
   }
   const Stand stand(points, std::vector<StemLine>(axes.begin(), axes.end()), of_plants);
-  if (stand.disputedByChance() > kMostByChance) return;
+  std::vector<float> doubts(axes.size(), 0.0F);
+  if (stand.disputedByChance() > kMostByChance) return doubts;
   for (std::size_t plant = 0; plant < axes.size(); ++plant) {
     if (!stand.isFarOff(plant, kAside)) continue;
     HighestPoints highest(stand.top(plant).z);
@@ -251,6 +254,17 @@ void giveTopsBack(const std::vector<Eigen::Vector3f>& points, const std::vector<
     if (count < kFewest || highest.last() - stand.top(plant).z < kLeastRise) continue;
     for (const std::uint32_t i : held) owners.plant[i] = static_cast<std::int32_t>(plant);
   }
+  std::vector<float> tops(axes.size(), std::numeric_limits<float>::lowest());
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
+    if (owners.of(i) < 0) continue;
+    float& top = tops[static_cast<std::size_t>(owners.of(i))];
+    top = std::max(top, points[i].z());
+  }
+  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
+    if (!stand.top(plant).is_known) continue;
+    doubts[plant] = std::sqrt(kWrong) * std::abs(tops[plant] - stand.top(plant).z);
+  }
+  return doubts;
 }
 
 std::vector<float> doubtTops(const SegmentedBlock& block) {

@@ -76,7 +76,9 @@ TEST(StandTops, NoneIsDoubtedWhereAllAreRight) {
   const Row row(12U);
   for (const float doubt : row.doubts()) EXPECT_EQ(doubt, 0.0F);
   Row given_back = row;
-  giveTopsBack(given_back.points, given_back.axes, given_back.owners);
+  const std::vector<float> given =
+      giveTopsBack(given_back.points, given_back.axes, given_back.owners);
+  EXPECT_EQ(given, std::vector<float>(12U, 0.0F));
   EXPECT_EQ(given_back.owners.plant, row.owners.plant);
 }
 
@@ -106,8 +108,17 @@ TEST(StandTops, AreGivenBack) {
   row.giveTop(4, 5);
   row.giveTop(8, 6);
   EXPECT_NE(row.owners.plant, right.owners.plant);
-  giveTopsBack(row.points, row.axes, row.owners);
+  const std::vector<float> doubts = giveTopsBack(row.points, row.axes, row.owners);
   EXPECT_EQ(row.owners.plant, right.owners.plant);
+  // What was given may be wrong: the top is 0.5 m higher, within two standard deviations.
+  ASSERT_EQ(doubts.size(), 12U);
+  for (std::size_t plant = 0; plant < doubts.size(); ++plant) {
+    if (plant == 4U || plant == 8U) {
+      EXPECT_NEAR(doubts[plant], std::sqrt(0.5F) * (Row::kTasselTop - Row::kLeafTop), 0.02F);
+    } else {
+      EXPECT_LT(doubts[plant], 0.01F) << plant;
+    }
+  }
 }
 
 TEST(StandTops, PointsOfStemsStayTheirs) {
@@ -142,7 +153,7 @@ TEST(StandTops, OfOnePlantOrNone) {
   EXPECT_EQ(one.doubts(), std::vector<float>{0.0F});
   EXPECT_TRUE(doubtTops(SegmentedBlock()).empty());
   PointOwners none;
-  giveTopsBack({}, {}, none);
+  EXPECT_TRUE(giveTopsBack({}, {}, none).empty());
   Row without_axis(3U);
   without_axis.axes[1] = StemAxis();
   giveTopsBack(without_axis.points, without_axis.axes, without_axis.owners);

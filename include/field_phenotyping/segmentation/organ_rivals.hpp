@@ -28,7 +28,8 @@ std::vector<Rival> findRivals(const std::vector<std::vector<Misfit>>& costs,
                               const std::vector<std::int32_t>& plant_of);
 
 /// Of each plant: standard deviation of the height of its highest point [m], by what its rivals may
-/// have of it, and it of them.
+/// have of it, and it of them. What carries a stem on, or is in no piece, is doubted where it
+/// stands among other plants' pieces.
 std::vector<float> topStddevsOf(const OrganCells& cells, const LeafPieces& pieces,
                                 const std::vector<Rival>& rivals,
                                 const std::vector<LeafHost>& hosts);
