@@ -407,8 +407,7 @@ bool PreprocessingStage::handOnBlocks(bool flush, WhenFull when_full) {
     const auto open = [this](const BlockIndex& index) { return !preprocessor_.isFinished(index); };
     due.erase(std::remove_if(due.begin(), due.end(), open), due.end());
   }
-  const ros::WallTime now = ros::WallTime::now();
-  for (const BlockIndex& index : due) due_since_.try_emplace(index, now);
+  noteDue(due, flush);
   health_.show("blocks due", static_cast<double>(due.size()));
   bool more = false;
   while (!due.empty()) {
@@ -426,7 +425,7 @@ bool PreprocessingStage::handOnBlocks(bool flush, WhenFull when_full) {
       continue;
     }
     const std::vector<BlockIndex> joined = preprocessor_.joinedWith(index, due, flush);
-    handOn(joined, flush);
+    if (flush || !mayGrow(joined)) handOn(joined, flush);
     due.erase(std::remove_if(due.begin(), due.end(),
                              [&](const BlockIndex& other) {
                                return std::find(joined.begin(), joined.end(), other) !=
@@ -435,6 +434,15 @@ bool PreprocessingStage::handOnBlocks(bool flush, WhenFull when_full) {
               due.end());
   }
   return more;
+}
+
+/// Whether final blocks are put off because they may be worked with more that adjoin them, or be
+/// reached again: where nobody waits for them.
+bool PreprocessingStage::mayGrow(const std::vector<BlockIndex>& joined) const {
+  return !preliminary_ && joined.size() < Preprocessor::kMostJoined &&
+         preprocessor_.finishedBlocks() <= kMostFinished &&
+         std::all_of(joined.begin(), joined.end(),
+                     [this](const BlockIndex& index) { return preprocessor_.mayWait(index); });
 }
 
 /// The blocks are due; more than one: to be worked as one.
@@ -463,13 +471,28 @@ void PreprocessingStage::handOn(const std::vector<BlockIndex>& indices, bool flu
   }
 }
 
-/// It says as which revision, and since when it was due.
+void PreprocessingStage::noteDue(const std::vector<BlockIndex>& due, bool flush) {
+  const ros::WallTime now = ros::WallTime::now();
+  for (const BlockIndex& index : due) {
+    DueSince& since = due_since_.try_emplace(index, DueSince{now, std::nullopt}).first->second;
+    if (!flush && !preprocessor_.isFinished(index)) {
+      since.as_final.reset();  // scans reach it again
+    } else if (!since.as_final) {
+      since.as_final = now;
+    }
+  }
+}
+
+/// It says as which revision, and since when it was due: who knows its plants already waits for
+/// their last values.
 void PreprocessingStage::noteHandedOn(BlockHeader& tile) {
   const bool has_settled = !tile.draft && !tile.final;
   if (has_settled) ++tile.revision;  // a draft comes before it
   preprocessor_.markHandedOn(tile);
   const auto due = due_since_.find(tile.index);
-  tile.due_ns = due->second.toNSec();
+  const DueSince& since = due->second;
+  const bool known = tile.final && tile.revision > 1U;
+  tile.due_ns = (known ? since.as_final.value_or(since.at_all) : since.at_all).toNSec();
   due_since_.erase(due);
   tile.revision += revision_base_;
   newest_revision_ = std::max(newest_revision_, tile.revision);

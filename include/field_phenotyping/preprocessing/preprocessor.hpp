@@ -86,6 +86,11 @@ class Preprocessor {
   /// Whether no scan reaches block `index` any more.
   bool isFinished(const BlockIndex& index) const;
 
+  /// Whether block `index` loses nothing by waiting for blocks to be joined with: the sensor is not
+  /// farther away than `final_distance`, so that what it sees if it comes back is of the same pass,
+  /// or not for long; and there is memory for it.
+  bool mayWait(const BlockIndex& index) const;
+
   /// Whether what is handed on of block `index` now is a draft.
   bool isDraft(const BlockIndex& index, bool flush) const;
 
