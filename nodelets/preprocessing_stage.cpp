@@ -408,17 +408,21 @@ bool PreprocessingStage::handOnBlocks(bool flush, WhenFull when_full) {
     due.erase(std::remove_if(due.begin(), due.end(), open), due.end());
   }
   noteDue(due, flush);
+  // Updates wait for those that are final.
+  std::stable_partition(due.begin(), due.end(), [this](const BlockIndex& index) {
+    return preprocessor_.isFinished(index);
+  });
   health_.show("blocks due", static_cast<double>(due.size()));
   bool more = false;
   while (!due.empty()) {
     const BlockIndex index = due.front();
-    // No draft waits for other blocks, but those of an earlier pass, which must be known by then;
-    // those wait for drafts, which may be of the same tiles.
+    // No draft waits for other blocks, but those of an earlier pass of the same place, which must
+    // be known by then; those wait for drafts, which may be of the same tiles.
     const bool draft = preprocessor_.isDraft(index, flush);
     const std::size_t drafts = drafts_->pending();
-    const bool full =
-        draft ? drafts >= kMostPending || maker_->holdsOlderThan(preprocessor_.beganAt(index))
-              : drafts > 0U || maker_->pending() >= kMostPending;
+    const bool full = draft ? drafts >= kMostPending ||
+                                  maker_->holdsEarlierPass(index, preprocessor_.beganAt(index))
+                            : drafts > 0U || maker_->pending() >= kMostPending;
     if (full && when_full == WhenFull::kLater) {
       more = true;
       due.erase(due.begin());

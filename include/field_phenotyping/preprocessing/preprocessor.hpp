@@ -36,6 +36,11 @@ struct BlockPoints {
   BlockHeader header;
   std::vector<BlockHeader> joined;  ///< as in Block
   PointCloud cloud;  ///< voxel centroids of the tile and its margin, soil and outliers among them
+
+  /// As in Block.
+  std::vector<BlockHeader> tiles() const {
+    return joined.empty() ? std::vector<BlockHeader>{header} : joined;
+  }
 };
 
 /// The steps of 2.3 that need no map: outliers and soil are taken out, and what is so dense that
