@@ -27,14 +27,19 @@ void BlockMaker::push(Task task) {
 
 std::size_t BlockMaker::pending() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return waiting_.size() + (at_work_ ? 1U : 0U);
+  return waiting_.size() + (at_work_.empty() ? 0U : 1U);
 }
 
-bool BlockMaker::holdsOlderThan(std::uint64_t stamp_ns) const {
+bool BlockMaker::holdsEarlierPass(const BlockIndex& index, std::uint64_t began_ns) const {
+  const auto is_earlier = [&](const BlockHeader& tile) {
+    return tile.stamp_ns < began_ns && areNeighbors(tile.index, index);
+  };
   const std::lock_guard<std::mutex> lock(mutex_);
-  return (at_work_ && *at_work_ < stamp_ns) ||
-         std::any_of(waiting_.begin(), waiting_.end(),
-                     [&](const Task& task) { return task.points.header.stamp_ns < stamp_ns; });
+  return std::any_of(at_work_.begin(), at_work_.end(), is_earlier) ||
+         std::any_of(waiting_.begin(), waiting_.end(), [&](const Task& task) {
+           const std::vector<BlockHeader> tiles = task.points.tiles();
+           return std::any_of(tiles.begin(), tiles.end(), is_earlier);
+         });
 }
 
 void BlockMaker::run() {
@@ -45,11 +50,11 @@ void BlockMaker::run() {
     } else {
       Task task = std::move(waiting_.front());
       waiting_.pop_front();
-      at_work_ = task.points.header.stamp_ns;
+      at_work_ = task.points.tiles();
       lock.unlock();
       calls_.work(task);
       lock.lock();
-      at_work_.reset();
+      at_work_.clear();
     }
     lock.unlock();
     calls_.idle();

@@ -9,8 +9,8 @@
 #include <functional>
 #include <memory>
 #include <mutex>
-#include <optional>
 #include <thread>
+#include <vector>
 
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/preprocessing/preprocessor.hpp"
@@ -42,8 +42,9 @@ class BlockMaker {
   void push(Task task);
   /// Blocks that wait or are being made.
   std::size_t pending() const;
-  /// Whether any of them was last seen before that time [ns since the epoch].
-  bool holdsOlderThan(std::uint64_t stamp_ns) const;
+  /// Whether any of them is of a pass that has ended before `began_ns` [ns since the epoch] where
+  /// tile `index` is, or beside it.
+  bool holdsEarlierPass(const BlockIndex& index, std::uint64_t began_ns) const;
 
  private:
   void run();
@@ -52,7 +53,7 @@ class BlockMaker {
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::deque<Task> waiting_;
-  std::optional<std::uint64_t> at_work_;  // newest scan of that block [ns]
+  std::vector<BlockHeader> at_work_;  // what the tiles of that block say of themselves
   bool running_ = true;
   std::thread thread_;  // last: runs on all of the above
 };

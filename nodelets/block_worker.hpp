@@ -12,11 +12,10 @@
 #include <deque>
 #include <functional>
 #include <iterator>
-#include <limits>
+#include <list>
 #include <map>
 #include <mutex>
 #include <optional>
-#include <set>
 #include <thread>
 #include <vector>
 
@@ -43,6 +42,18 @@ inline std::vector<BlockHeader> tilesOf(const Block& block) {
 template <class T>
 std::vector<BlockHeader> tilesOf(const T& block) {
   return {headerOf(block)};
+}
+
+/// Whether any tile of `a` is a neighbour of one of `b`.
+template <class T>
+bool areNeighbors(const T& a, const T& b) {
+  const std::vector<BlockHeader> tiles = tilesOf(a);
+  const std::vector<BlockHeader> others = tilesOf(b);
+  return std::any_of(tiles.begin(), tiles.end(), [&](const BlockHeader& tile) {
+    return std::any_of(others.begin(), others.end(), [&](const BlockHeader& other) {
+      return areNeighbors(tile.index, other.index);
+    });
+  });
 }
 
 /// Whether `newer` is about all tiles of `older`, each being `alike` there and here.
@@ -134,8 +145,9 @@ struct OverloadLimits {
 /// Drafts, and blocks of which nothing has been worked in their pass, go first, for they give
 /// plants their first values, then final ones, then updates, each in the order in which they came.
 /// Once one has waited for too long each the newest first; where too many points wait the last in
-/// that order are dropped. That ends by itself when less comes. What was last seen before another
-/// block was first seen goes before that one: what an earlier pass has found must be known by then.
+/// that order are dropped. That ends by itself when less comes. What was last seen before a
+/// neighbouring block was first seen goes before that one: what an earlier pass has found there
+/// must be known by then.
 ///
 /// A draft need not wait for a large block that is at work already where a second thread takes
 /// drafts beside it. Thread-safe.
@@ -298,22 +310,28 @@ class BlockWorker {
     for (const BlockHeader& tile : tilesOf(block)) worked_.erase(tile.index);
   }
 
+  /// Whether a block that waits or is at work is of an earlier pass of the same place.
+  bool hasEarlierPass(const T& block) const {
+    const auto is_earlier = [&](const Pointer& other) {
+      return headerOf(*other).stamp_ns < headerOf(block).began_ns && areNeighbors(*other, block);
+    };
+    return std::any_of(at_work_.begin(), at_work_.end(), is_earlier) ||
+           std::any_of(waiting_.begin(), waiting_.end(),
+                       [&](const Task& task) { return is_earlier(task.block); });
+  }
+
   /// Nothing where none may be worked yet.
   std::optional<Task> takeNext(Takes takes) {
     const bool overloaded = isOverloaded();
-    std::uint64_t earliest = std::numeric_limits<std::uint64_t>::max();
-    for (const Task& task : waiting_) earliest = std::min(earliest, headerOf(*task.block).stamp_ns);
-    for (const std::uint64_t stamp_ns : at_work_) earliest = std::min(earliest, stamp_ns);
-    const auto may_be_worked = [&](const Task& task) {
-      const BlockHeader& header = headerOf(*task.block);
-      return header.began_ns <= earliest && (takes == Takes::kAll || header.draft);
-    };
-    const auto goes_first = [&](const Task& a, const Task& b) {
-      if (may_be_worked(a) != may_be_worked(b)) return may_be_worked(a);
-      return overloaded ? isWorthMore(a, b) : rankOf(a) < rankOf(b);
-    };
-    const auto next = std::min_element(waiting_.begin(), waiting_.end(), goes_first);
-    if (next == waiting_.end() || !may_be_worked(*next)) return std::nullopt;
+    auto next = waiting_.end();
+    for (auto task = waiting_.begin(); task != waiting_.end(); ++task) {
+      if (takes == Takes::kDrafts && !headerOf(*task->block).draft) continue;
+      const bool goes_first =
+          next == waiting_.end() ||
+          (overloaded ? isWorthMore(*task, *next) : rankOf(*task) < rankOf(*next));
+      if (goes_first && !hasEarlierPass(*task->block)) next = task;
+    }
+    if (next == waiting_.end()) return std::nullopt;
     const Task task = *next;
     waiting_.erase(next);
     const BlockHeader& header = headerOf(*task.block);
@@ -334,7 +352,7 @@ class BlockWorker {
       if (!task) {
         changed_.wait_for(lock, std::chrono::milliseconds(100));
       } else {
-        const auto at_work = at_work_.insert(headerOf(*task->block).stamp_ns);
+        const auto at_work = at_work_.insert(at_work_.end(), task->block);
         lock.unlock();
         calls_.work(*task);
         lock.lock();
@@ -354,8 +372,8 @@ class BlockWorker {
   const Drafts drafts_;
   mutable std::mutex mutex_;
   std::condition_variable changed_;
-  std::deque<Task> waiting_;                    // as they came
-  std::multiset<std::uint64_t> at_work_;        // newest scans of those blocks [ns]
+  std::deque<Task> waiting_;  // as they came
+  std::list<Pointer> at_work_;
   std::map<BlockIndex, std::uint64_t> worked_;  // when the pass began that open blocks were in [ns]
   BlockHistory<T> history_;
   std::optional<ros::WallTime> opened_;  // since when work is done

@@ -12,6 +12,11 @@ namespace {
 const ros::WallDuration kRowsInterval(3.0);
 constexpr double kRowsReach = 30.0;  // [m]
 
+/// @param wall_ns wall time
+double secondsSince(std::uint64_t wall_ns) {
+  return (ros::WallTime::now() - ros::WallTime().fromNSec(wall_ns)).toSec();
+}
+
 }  // namespace
 
 MeasurementStage::MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
@@ -43,6 +48,7 @@ boost::shared_ptr<const PlantPhenotypeArray> MeasurementStage::work(
   const std::vector<Phenotype> plants = plants_.recent().plantsOf(header.index);
   header_ = messageHeader(header);
   noteFirstValues(header, change);
+  noteLastValues(header);
   if (change.accepted) {
     removed_.insert(removed_.end(), change.removed.begin(), change.removed.end());
     fresh_.insert(fresh_.end(), plants.begin(), plants.end());
@@ -60,10 +66,17 @@ void MeasurementStage::noteFirstValues(const BlockHeader& header,
   const std::size_t first = first_values_.countIn(change);
   stage_.health().count("plants seen again that a revision had not", change.added.size() - first);
   if (header.due_ns == 0U) return;
-  const double seconds = (ros::WallTime::now() - ros::WallTime().fromNSec(header.due_ns)).toSec();
+  const double seconds = secondsSince(header.due_ns);
   for (std::size_t k = 0; k < first; ++k) {
     stage_.health().took("plant, from when its block is due until its first values", seconds);
   }
+}
+
+/// How long they have to wait until no value of a block changes any more.
+void MeasurementStage::noteLastValues(const BlockHeader& header) {
+  if (header.due_ns == 0U || !header.final) return;
+  stage_.health().took("block, from when it is final until its last values",
+                       secondsSince(header.due_ns));
 }
 
 void MeasurementStage::showMarkers() {

@@ -30,6 +30,7 @@ class MeasurementStage {
   boost::shared_ptr<const PlantPhenotypeArray> work(const CompletedBlock& block,
                                                     const MeasurementParameters& parameters);
   void noteFirstValues(const BlockHeader& header, const PlantTable::Change& change);
+  void noteLastValues(const BlockHeader& header);
   void showMarkers();
   void showRows();
 

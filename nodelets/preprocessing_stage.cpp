@@ -407,26 +407,29 @@ bool PreprocessingStage::handOnBlocks(bool flush, WhenFull when_full) {
     const auto open = [this](const BlockIndex& index) { return !preprocessor_.isFinished(index); };
     due.erase(std::remove_if(due.begin(), due.end(), open), due.end());
   }
-  const ros::WallTime now = ros::WallTime::now();
-  for (const BlockIndex& index : due) due_since_.try_emplace(index, now);
+  noteDue(due, flush);
+  // Updates wait for those that are final.
+  std::stable_partition(due.begin(), due.end(), [this](const BlockIndex& index) {
+    return preprocessor_.isFinished(index);
+  });
   health_.show("blocks due", static_cast<double>(due.size()));
   bool more = false;
   while (!due.empty()) {
     const BlockIndex index = due.front();
-    // No draft waits for other blocks, but those of an earlier pass, which must be known by then;
-    // those wait for drafts, which may be of the same tiles.
+    // No draft waits for other blocks, but those of an earlier pass of the same place, which must
+    // be known by then; those wait for drafts, which may be of the same tiles.
     const bool draft = preprocessor_.isDraft(index, flush);
     const std::size_t drafts = drafts_->pending();
-    const bool full =
-        draft ? drafts >= kMostPending || maker_->holdsOlderThan(preprocessor_.beganAt(index))
-              : drafts > 0U || maker_->pending() >= kMostPending;
+    const bool full = draft ? drafts >= kMostPending ||
+                                  maker_->holdsEarlierPass(index, preprocessor_.beganAt(index))
+                            : drafts > 0U || maker_->pending() >= kMostPending;
     if (full && when_full == WhenFull::kLater) {
       more = true;
       due.erase(due.begin());
       continue;
     }
     const std::vector<BlockIndex> joined = preprocessor_.joinedWith(index, due, flush);
-    handOn(joined, flush);
+    if (flush || !mayGrow(joined)) handOn(joined, flush);
     due.erase(std::remove_if(due.begin(), due.end(),
                              [&](const BlockIndex& other) {
                                return std::find(joined.begin(), joined.end(), other) !=
@@ -435,6 +438,15 @@ bool PreprocessingStage::handOnBlocks(bool flush, WhenFull when_full) {
               due.end());
   }
   return more;
+}
+
+/// Whether final blocks are put off because they may be worked with more that adjoin them, or be
+/// reached again: where nobody waits for them.
+bool PreprocessingStage::mayGrow(const std::vector<BlockIndex>& joined) const {
+  return !preliminary_ && joined.size() < Preprocessor::kMostJoined &&
+         preprocessor_.finishedBlocks() <= kMostFinished &&
+         std::all_of(joined.begin(), joined.end(),
+                     [this](const BlockIndex& index) { return preprocessor_.mayWait(index); });
 }
 
 /// The blocks are due; more than one: to be worked as one.
@@ -463,13 +475,28 @@ void PreprocessingStage::handOn(const std::vector<BlockIndex>& indices, bool flu
   }
 }
 
-/// It says as which revision, and since when it was due.
+void PreprocessingStage::noteDue(const std::vector<BlockIndex>& due, bool flush) {
+  const ros::WallTime now = ros::WallTime::now();
+  for (const BlockIndex& index : due) {
+    DueSince& since = due_since_.try_emplace(index, DueSince{now, std::nullopt}).first->second;
+    if (!flush && !preprocessor_.isFinished(index)) {
+      since.as_final.reset();  // scans reach it again
+    } else if (!since.as_final) {
+      since.as_final = now;
+    }
+  }
+}
+
+/// It says as which revision, and since when it was due: who knows its plants already waits for
+/// their last values.
 void PreprocessingStage::noteHandedOn(BlockHeader& tile) {
   const bool has_settled = !tile.draft && !tile.final;
   if (has_settled) ++tile.revision;  // a draft comes before it
   preprocessor_.markHandedOn(tile);
   const auto due = due_since_.find(tile.index);
-  tile.due_ns = due->second.toNSec();
+  const DueSince& since = due->second;
+  const bool known = tile.final && tile.revision > 1U;
+  tile.due_ns = (known ? since.as_final.value_or(since.at_all) : since.at_all).toNSec();
   due_since_.erase(due);
   tile.revision += revision_base_;
   newest_revision_ = std::max(newest_revision_, tile.revision);

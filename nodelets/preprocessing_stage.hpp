@@ -47,6 +47,12 @@ class PreprocessingStage {
     ros::WallTime arrival;
   };
 
+  /// Since when a block is due.
+  struct DueSince {
+    ros::WallTime at_all;
+    std::optional<ros::WallTime> as_final;
+  };
+
   /// What happens to blocks that are due while enough others are in the making.
   enum class WhenFull { kLater, kInAnyCase };
 
@@ -73,7 +79,9 @@ class PreprocessingStage {
   void applyParameters();
   PreprocessingParameters effectiveParameters() const;
   bool handOnBlocks(bool flush, WhenFull when_full);
+  bool mayGrow(const std::vector<BlockIndex>& joined) const;
   void handOn(const std::vector<BlockIndex>& indices, bool flush);
+  void noteDue(const std::vector<BlockIndex>& due, bool flush);
   void noteHandedOn(BlockHeader& tile);
   void emptyMap();
 
@@ -112,7 +120,7 @@ class PreprocessingStage {
   Eigen::Isometry3d only_transform_ = Eigen::Isometry3d::Identity();
   std::uint32_t revision_base_ = 0U;  // revisions go on counting when new parameters empty the map
   std::uint32_t newest_revision_ = 0U;
-  std::map<BlockIndex, ros::WallTime> due_since_;
+  std::map<BlockIndex, DueSince> due_since_;
 
   // Of the threads that make blocks.
   std::mutex done_mutex_;

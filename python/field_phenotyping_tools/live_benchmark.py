@@ -192,10 +192,12 @@ def load_table(bench, _):
         ('scan placed after its arrival, 99 % [ms]', figure('scan_placed', 1e3, 0)),
         ('first values after the block is due, median [s]', figure('first_median', decimals=2)),
         ('99 % [s]', figure('first', decimals=2)),
+        ('last values after the block is final, median [s]', figure('last_median', decimals=2)),
+        ('99 % [s]', figure('last', decimals=2)),
         ('memory [MB]', figure('memory', decimals=0)),
     ]
     print_header('drive', columns)
-    print('| goal | 300000 | - | 0 | - | {:.1f} | 50 | - | - | 1.00 | - |'.format(REPLAY_GOAL))
+    print('| goal | 300000 | - | 0 | - | {:.1f} | 50 | - | - | 1.00 | - | - | - |'.format(REPLAY_GOAL))
     rows = {}
     for label, settings in LOADS:
         bench.progress('300,000 pulses/s, ' + label)
@@ -222,6 +224,9 @@ def load_table(bench, _):
         first = 'plant, from when its block is due until its first values, '
         figures['first_median'] = plants.get(first + 'median [s]')
         figures['first'] = plants.get(first + '99 % [s]')
+        last = 'block, from when it is final until its last values, '
+        figures['last_median'] = plants.get(last + 'median [s]')
+        figures['last'] = plants.get(last + '99 % [s]')
         figures['memory'] = max(memory_over_time(live.diagnostics())[1])
         rows[label] = figures
         print_row(label, columns, figures)
@@ -243,6 +248,17 @@ def memory_over_time(diagnostics):
         if 'memory of the process [MB]' in values
     ]
     return np.array([time for time, _ in samples]), np.array([value for _, value in samples])
+
+
+def settled_line(since, memory):
+    """Memory after SETTLED and at the end of the drive [MB], on the line through all samples between.
+
+    Single ones tell little: blocks come and go, and free memory goes back only now and then. After
+    the drive's end its clock stands still.
+    """
+    between = (since >= SETTLED) & (since < since[-1])
+    slope, offset = np.polyfit(since[between], memory[between], 1)
+    return float(offset + slope * SETTLED), float(offset + slope * since[-1])
 
 
 def ids_of_one_place(run, journal, radius=0.05):
@@ -294,19 +310,17 @@ def memory_table(bench, _):
     times, memory = memory_over_time(watch.diagnostics())
     since = times - drive['time'][0] if times[0] < 1e9 else times - times[0]
     run = evaluation.Run(folder)
-    # Growth is judged between averages over a minute, for blocks come and go.
-    early = memory[(since >= SETTLED) & (since < SETTLED + 60.0)]
-    late = memory[since >= since[-1] - 60.0]
-    grown = float(np.mean(late) - np.mean(early))
+    early, late = settled_line(since, memory)
+    grown = late - early
     share = 1.0 - SETTLED / since[-1]
     figures = {
         'minutes': since[-1] / 60.0,
         'km': loops * step / 1e3,
         'plants': len(run),
         'duplicates': len(ids_of_one_place(run, os.path.join(folder, 'journal.sqlite'))),
-        'memory_early': float(np.mean(early)),
-        'memory_late': float(np.mean(late)),
-        'growth': grown / float(np.mean(early)),
+        'memory_early': early,
+        'memory_late': late,
+        'growth': grown / early,
         'bytes_per_plant': grown * 1e6 / (share * len(run)),
         'times': played_speed(watch.said, 'all is worked'),
     }

@@ -66,6 +66,13 @@ PointCloud select(const PointCloud& cloud, const std::vector<std::uint8_t>& flag
                indicesWhere(flags.size(), [&](std::size_t i) { return flags[i] == wanted; }));
 }
 
+/// How many of the tiles adjoin tile `index`.
+std::ptrdiff_t sharedEdges(const BlockIndex& index, const std::vector<BlockIndex>& tiles) {
+  return std::count_if(tiles.begin(), tiles.end(), [&](const BlockIndex& other) {
+    return std::abs(index.x - other.x) + std::abs(index.y - other.y) == 1;
+  });
+}
+
 /// Puts a thinned cloud in spatialOrder(): the stages that follow go from neighbour to neighbour,
 /// and a large one does not fit the processor's cache.
 void putInOrder(PointCloud& cloud, DensePoints& dense) {
@@ -158,6 +165,7 @@ struct Preprocessor::Impl {
   bool isFinal(const TileState& state) const;
   BlockHeader headerOf(const BlockIndex& index, bool flush, bool draft) const;
   bool hasChanged(const TileState& state) const;
+  bool isFar(const BlockIndex& index) const;
   bool mayForget(const BlockIndex& index, const TileState& state) const;
 
   PreprocessingParameters parameters;
@@ -393,10 +401,13 @@ bool Preprocessor::Impl::hasChanged(const TileState& state) const {
   return state.dirty && static_cast<double>(state.new_voxels) >= least;
 }
 
-bool Preprocessor::Impl::mayForget(const BlockIndex& index, const TileState& state) const {
-  if (state.evict) return true;
+bool Preprocessor::Impl::isFar(const BlockIndex& index) const {
   const Eigen::Vector2d away = map.originOf(index).head<2>() - scan_center;
-  return state.final && !state.dirty && away.norm() > parameters.final_distance;
+  return away.norm() > parameters.final_distance;
+}
+
+bool Preprocessor::Impl::mayForget(const BlockIndex& index, const TileState& state) const {
+  return state.evict || (state.final && !state.dirty && isFar(index));
 }
 
 Preprocessor::Preprocessor(const PreprocessingParameters& parameters, std::string frame_id,
@@ -481,6 +492,14 @@ bool Preprocessor::isFinished(const BlockIndex& index) const {
   return state != impl_->states.end() && impl_->isFinal(state->second);
 }
 
+bool Preprocessor::mayWait(const BlockIndex& index) const {
+  constexpr double kLongest = 4.0;  // times as long as makes it final
+  const auto found = impl_->states.find(index);
+  if (found == impl_->states.end() || found->second.evict) return false;
+  const double age = static_cast<double>(impl_->newest_ns - found->second.touched_ns) * kNanosecond;
+  return !impl_->isFar(index) || age < kLongest * impl_->parameters.final_after;
+}
+
 bool Preprocessor::isDraft(const BlockIndex& index, bool flush) const {
   const auto state = impl_->states.find(index);
   return state != impl_->states.end() && !flush && !impl_->isFinal(state->second) &&
@@ -496,17 +515,16 @@ std::vector<BlockIndex> Preprocessor::joinedWith(const BlockIndex& first,
   std::vector<BlockIndex> others;
   std::copy_if(due.begin(), due.end(), std::back_inserter(others),
                [&](const BlockIndex& index) { return !(index == first) && isFinal(index); });
-  const auto sharedEdges = [&](const BlockIndex& index) {
-    return std::count_if(joined.begin(), joined.end(), [&](const BlockIndex& other) {
-      return std::abs(index.x - other.x) + std::abs(index.y - other.y) == 1;
-    });
+  // Margins are shorter the more edges a tile shares with these; of those that share as many the
+  // one that would be left with the fewest goes with them.
+  const auto isWorse = [&](const BlockIndex& a, const BlockIndex& b) {
+    const auto edges_a = sharedEdges(a, joined);
+    const auto edges_b = sharedEdges(b, joined);
+    return edges_a != edges_b ? edges_a < edges_b : sharedEdges(a, others) > sharedEdges(b, others);
   };
-  // Margins are shorter the more edges a tile shares with the others.
   while (joined.size() < kMostJoined && !others.empty()) {
-    const auto best = std::max_element(
-        others.begin(), others.end(),
-        [&](const auto& a, const auto& b) { return sharedEdges(a) < sharedEdges(b); });
-    if (sharedEdges(*best) == 0) break;
+    const auto best = std::max_element(others.begin(), others.end(), isWorse);
+    if (sharedEdges(*best, joined) == 0) break;
     joined.push_back(*best);
     others.erase(best);
   }

@@ -54,14 +54,14 @@ PlantRegistry::PlantRegistry(double match_radius) : match_radius_(match_radius) 
 void PlantRegistry::file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns) {
   constexpr std::size_t kRoom = 8U;  // as vectors grow by themselves, half of them would be empty
   const Cell cell = cellOf(base);
-  std::vector<Entry>& entries = entries_[cell];
+  std::pmr::vector<Entry>& entries = entries_[cell];
   if (entries.size() == entries.capacity()) entries.reserve(entries.size() + kRoom);
   entries.push_back({stamp_ns, (base - cornerOf(cell)).cast<float>(), id});
   ++size_;
 }
 
 void PlantRegistry::takeOut(const Known& known) {
-  std::vector<Entry>& entries = entries_.at(known.cell);
+  std::pmr::vector<Entry>& entries = entries_.at(known.cell);
   entries.erase(std::find_if(entries.begin(), entries.end(),
                              [&](const Entry& entry) { return entry.id == known.id; }));
   --size_;

@@ -401,6 +401,33 @@ TEST(Preprocessor, JoinsNoMoreThanCanBeWorkedAtOnceAndThoseOfTheShortestMargin) 
   EXPECT_EQ((right->x - left->x + 1) * (high->y - low->y + 1), 6) << "a rectangle";
 }
 
+TEST(Preprocessor, JoinsTheOneThatWouldBeLeftAlone) {
+  Preprocessor preprocessor(unlimitedRange(), "map");
+  preprocessor.addScan(patch(0.0, 16.0, kStart), kIdentity);  // eight tiles in a row
+  const auto joined = preprocessor.joinedWith({6, 0}, preprocessor.dueBlocks(true), true);
+  EXPECT_EQ(std::set<BlockIndex>(joined.begin(), joined.end()),
+            (std::set<BlockIndex>{{2, 0}, {3, 0}, {4, 0}, {5, 0}, {6, 0}, {7, 0}}));
+}
+
+TEST(Preprocessor, AFinalBlockMayWaitWhileItIsNearAndNotLongAfterwards) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.final_after = 5.0;
+  parameters.final_distance = 20.0;
+  parameters.block_margin = 0.0;
+  Preprocessor preprocessor(parameters, "map");
+  preprocessor.addScan(patch(0.0, 2.0, kStart), kIdentity);
+  preprocessor.addScan(patch(10.0, 12.0, kStart + 100U * kSecond), kIdentity);
+  EXPECT_TRUE(preprocessor.isFinished({0, 0}));
+  EXPECT_TRUE(preprocessor.mayWait({0, 0})) << "10 m away: the rover may come back";
+  EXPECT_FALSE(preprocessor.mayWait({3, 0})) << "nothing is there";
+
+  preprocessor.addScan(patch(0.0, 2.0, kStart + 101U * kSecond), kIdentity);
+  preprocessor.addScan(patch(30.0, 32.0, kStart + 120U * kSecond), kIdentity);
+  EXPECT_TRUE(preprocessor.mayWait({0, 0})) << "30 m away, but seen 19 s ago";
+  preprocessor.addScan(patch(30.0, 32.0, kStart + 122U * kSecond), kIdentity);
+  EXPECT_FALSE(preprocessor.mayWait({0, 0}));
+}
+
 TEST(Preprocessor, DraftsAreThinnerThanWhatFollows) {
   PreprocessingParameters parameters = unlimitedRange();
   parameters.draft_density = 1000.0;
@@ -548,6 +575,7 @@ TEST(Preprocessor, MemoryLimitFinishesTheOldestTiles) {
       const Block block = preprocessor.makeBlock(index, false);
       if (block.header.final) {
         EXPECT_LT(index.x, k - 3) << "the oldest are given up";
+        EXPECT_FALSE(preprocessor.mayWait(index));
       }
       preprocessor.markHandedOn(block.header);
     }

@@ -71,6 +71,15 @@ class Sayings(unittest.TestCase):
         self.assertEqual(list(times), [2.0, 3.0])
         self.assertEqual(list(memory), [70.0, 71.0])
 
+    def test_growth_is_that_of_the_line_while_the_drive_lasts(self):
+        since = np.arange(0.0, 7201.0, 60.0)
+        memory = 60.0 + 0.001 * since + np.where(np.arange(len(since)) % 2 == 0, 3.0, -3.0)
+        memory[since < live_benchmark.SETTLED] = 10.0  # it has only begun
+        since, memory = np.append(since, [7200.0] * 9), np.append(memory, [200.0] * 9)  # all waits
+        early, late = live_benchmark.settled_line(since, memory)
+        self.assertAlmostEqual(early, 60.0 + 0.3, delta=0.3)
+        self.assertAlmostEqual(late, 60.0 + 7.2, delta=0.3)
+
 
 if __name__ == '__main__':
     unittest.main()

@@ -203,15 +203,24 @@ TEST(BlockWorker, ADraftNeedNotWaitForTheBlockAtWork) {
   EXPECT_EQ(worker.finishAll(), (std::vector<int>{0, 1, 2})) << "of the next pass: it has to wait";
 }
 
+TEST(BlockWorker, NorForAnEarlierPassElsewhere) {
+  SlowWorker worker(kNever, BlockWorker<Block>::Drafts::kBeside);
+  worker.push(1, 1U, false);
+  worker.pushDraft(99, 30U, 20U);
+  EXPECT_FALSE(worker.hasBegun(99)) << "100 is at work";
+  worker.pushDraft(50, 30U, 20U);
+  EXPECT_TRUE(worker.hasBegun(50));
+  worker.finishAll();
+}
+
 TEST(BlockWorker, AnEarlierPassIsFinishedFirst) {
   for (const OverloadLimits& limits : {kNever, kAtOnce}) {
     SlowWorker worker(limits);
-    worker.push(1, 30U, false, 10U, 20U);  // of the next pass
+    worker.push(101, 30U, false, 10U, 20U);  // of the next pass
     worker.push(100, 19U, true, 12U);
-    worker.push(0, 25U, false, 10U, 20U);
-    std::vector<int> order = worker.finishAll();
-    ASSERT_EQ(order.size(), 3U);
-    EXPECT_EQ(order.front(), 100);
+    worker.push(50, 25U, false, 10U, 20U);
+    EXPECT_EQ(worker.finishAll(), (std::vector<int>{50, 100, 101}))
+        << "what is elsewhere need not wait";
   }
 }
 

@@ -125,6 +125,20 @@ class ReplayTest(unittest.TestCase):
                     math.hypot(float(p["x"]) - x - 3.6 * loop, float(p["y"]) - y) for p in plants]
                 self.assertLess(min(distances), 0.04)
 
+    def test_tiles_that_adjoin_are_worked_as_one(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag, truth = make_bag(folder)
+            code, said, plants = replay(
+                folder, "bag:=" + bag, "loops:=12", "loop_period:=3.0", "loop_step_x:=3.6")
+            with sqlite3.connect(os.path.join(folder, "out", "journal.sqlite")) as journal:
+                # Tiles that were worked as one bear the same stamp.
+                together = [count for count, in journal.execute(
+                    "SELECT COUNT(*) FROM report GROUP BY stamp_ns ORDER BY stamp_ns")]
+        self.assertEqual(code, 0, said)
+        self.assertEqual(len(plants), 12 * len(truth), said)
+        self.assertGreater(len(together), 1, "not all of them at the end")
+        self.assertGreaterEqual(min(together[:-1]), 4, together)
+
     def test_no_faster_than_asked_for(self):
         with tempfile.TemporaryDirectory() as folder:
             bag, truth = make_bag(folder)

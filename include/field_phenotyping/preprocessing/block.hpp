@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cstdint>
+#include <cstdlib>
 #include <string>
 #include <vector>
 
@@ -24,6 +25,11 @@ struct BlockIndex {
     return a.x != b.x ? a.x < b.x : a.y < b.y;
   }
 };
+
+/// Whether two tiles are the same, or share an edge or a corner.
+inline bool areNeighbors(const BlockIndex& a, const BlockIndex& b) {
+  return std::abs(a.x - b.x) <= 1 && std::abs(a.y - b.y) <= 1;
+}
 
 /// What every value that travels from stage to stage says about itself.
 struct BlockHeader {

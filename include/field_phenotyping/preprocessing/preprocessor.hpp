@@ -36,6 +36,11 @@ struct BlockPoints {
   BlockHeader header;
   std::vector<BlockHeader> joined;  ///< as in Block
   PointCloud cloud;  ///< voxel centroids of the tile and its margin, soil and outliers among them
+
+  /// As in Block.
+  std::vector<BlockHeader> tiles() const {
+    return joined.empty() ? std::vector<BlockHeader>{header} : joined;
+  }
 };
 
 /// The steps of 2.3 that need no map: outliers and soil are taken out, and what is so dense that
@@ -85,6 +90,11 @@ class Preprocessor {
 
   /// Whether no scan reaches block `index` any more.
   bool isFinished(const BlockIndex& index) const;
+
+  /// Whether block `index` loses nothing by waiting for blocks to be joined with: the sensor is not
+  /// farther away than `final_distance`, so that what it sees if it comes back is of the same pass,
+  /// or not for long; and there is memory for it.
+  bool mayWait(const BlockIndex& index) const;
 
   /// Whether what is handed on of block `index` now is a draft.
   bool isDraft(const BlockIndex& index, bool flush) const;

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <map>
+#include <memory_resource>
 #include <mutex>
 #include <optional>
 #include <set>
@@ -153,7 +154,10 @@ class PlantRegistry {
 
   const double match_radius_;
   mutable std::mutex mutex_;
-  std::map<Cell, std::vector<Entry>> entries_;
+  // What stays for the day lies together: between what comes and goes with the blocks it would leave
+  // gaps that larger pieces do not fit into.
+  std::pmr::unsynchronized_pool_resource memory_;
+  std::pmr::map<Cell, std::pmr::vector<Entry>> entries_{&memory_};
   std::size_t size_ = 0U;  // of all of them
   std::map<BlockIndex, Claims> claims_;
   std::map<std::int32_t, BlockIndex> claimed_;  // the ids of all of those, and by whom
