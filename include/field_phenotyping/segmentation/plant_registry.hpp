@@ -154,8 +154,8 @@ class PlantRegistry {
 
   const double match_radius_;
   mutable std::mutex mutex_;
-  // What stays for the day lies together: between what comes and goes with the blocks it would leave
-  // gaps that larger pieces do not fit into.
+  // What stays for the day lies together: between what comes and goes with the blocks it would
+  // leave gaps that larger pieces do not fit into.
   std::pmr::unsynchronized_pool_resource memory_;
   std::pmr::map<Cell, std::pmr::vector<Entry>> entries_{&memory_};
   std::size_t size_ = 0U;  // of all of them
