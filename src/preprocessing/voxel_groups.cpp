@@ -107,15 +107,6 @@ std::vector<std::uint32_t> VoxelGroups::ofPoints() const {
   return of_point;
 }
 
-std::vector<std::uint64_t> VoxelGroups::keys() const {
-  std::vector<std::uint64_t> keys(size());
-  parallelFor(voxels_.size(), [&](std::size_t p) {
-    members_.forEachOf(p,
-                       [&](const Member& member) { keys[voxels_[p][member.voxel]] = member.key; });
-  });
-  return keys;
-}
-
 std::vector<VoxelMean> VoxelGroups::means() const {
   std::vector<VoxelMean> means(size());
   parallelFor(voxels_.size(), [&](std::size_t p) {

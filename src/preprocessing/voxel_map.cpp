@@ -10,7 +10,6 @@
 
 #include "common/gpu_streams.hpp"
 #include "common/xyz.hpp"
-#include "field_phenotyping/preprocessing/voxel_groups.hpp"
 #include "preprocessing/voxel_gpu.hpp"
 
 namespace field_phenotyping {
@@ -85,9 +84,35 @@ void VoxelTile::insertAll(const std::vector<Eigen::Vector3f>& points, float voxe
 }
 
 void VoxelTile::fill(const std::vector<Eigen::Vector3f>& points, float voxel_size) {
-  const VoxelGroups groups(points, voxel_size);
-  voxels_ = groups.means();
-  keys_ = groups.keys();
+  voxels_.reserve(points.size());
+  keys_.reserve(points.size());
+  VoxelSlots slots;  // not kept: hardly any point follows
+  slots.makeRoom(keys_, points.size());
+  const float* xyz = xyzOf(points);
+  constexpr std::size_t kBatch = 64U;  // of slots that are on their way from memory at once
+  std::array<std::int32_t, 3U * kBatch> cells;
+  std::array<VoxelKey, kBatch> keys;
+  std::array<std::uint64_t, kBatch> hashes;
+  for (std::size_t begin = 0; begin < points.size(); begin += keys.size()) {
+    const std::size_t count = std::min(keys.size(), points.size() - begin);
+    for (std::size_t c = 0; c < 3U * count; ++c) {
+      cells[c] = voxelOnAxis(xyz[3U * begin + c], voxel_size);
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+      keys[k] = voxelKeyOf(cells[3U * k], cells[3U * k + 1U], cells[3U * k + 2U]);
+      hashes[k] = VoxelSlots::hashOf(keys[k]);
+      slots.fetch(hashes[k]);
+    }
+    for (std::size_t k = 0; k < count; ++k) {
+      const std::uint32_t voxel = slots.find(keys[k], hashes[k], keys_);
+      if (voxel == voxels_.size()) {
+        keys_.push_back(keys[k]);
+        voxels_.push_back(VoxelMean::of(placeOf(points[begin + k])));
+      } else {
+        voxels_[voxel].add(placeOf(points[begin + k]));
+      }
+    }
+  }
 }
 
 void VoxelTile::rest() {

@@ -27,8 +27,6 @@ class VoxelGroups {
   const std::vector<std::uint32_t>& first() const { return first_; }
   /// The voxel of each point.
   std::vector<std::uint32_t> ofPoints() const;
-  /// voxelKeyOf() each voxel.
-  std::vector<std::uint64_t> keys() const;
   /// What each voxel makes of its points, one after the other.
   std::vector<VoxelMean> means() const;
 
