@@ -179,7 +179,10 @@ def stages(bench, folder, size=None, names=tuple(PAPER_SECONDS)):
             figures[label] = row
             print_row(label, columns, row)
     if any('why_no_gpu' in row for row in figures.values()):
-        print('\nThe rows CUDA are empty: there is no GPU here.', flush=True)
+        print(
+            '\nThe rows CUDA are empty: there is no GPU here. [Elsewhere](gpu.md) one was used.',
+            flush=True,
+        )
     note_load()
     from . import plots  # matplotlib takes a second to load
 
