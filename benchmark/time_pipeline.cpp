@@ -137,8 +137,8 @@ void printTable(const Options& options) {
   }
   std::printf(
       "%u cores. Seconds are medians of %d runs, taken in turn, after one that does not count; "
-      "those "
-      "of plants are of segmentation, completion and measurement, summed over the blocks.\n\n",
+      "those of plants are of segmentation, completion and measurement, summed over the "
+      "blocks.\n\n",
       std::thread::hardware_concurrency(), options.repeats);
   std::printf(
       "| field | points | blocks | device | seconds | times faster than one core "
@@ -189,9 +189,9 @@ constexpr const char* kHelp =
     "Usage: time_pipeline [--stage NAME] [--plants-per-row N] [--repeats N] [--seed N]\n"
     "Prints Table 4 of the paper, on made fields of four rows: seconds of the whole pipeline on "
     "one\n"
-    "core, on all cores and on the GPU, where there is one, beside its accuracy there. Nothing "
-    "else\n"
-    "should run meanwhile.\n";
+    "core, on all cores and on the GPU, where there is one, beside its accuracy there; NAME is one "
+    "of\n"
+    "seedling, jointing, tasselling, ripe: that row alone. Nothing else should run meanwhile.\n";
 
 int run(int argc, char** argv) {
   Options options;

@@ -5,6 +5,7 @@
 #include <optional>
 #include <utility>
 
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/preprocessing/voxel_groups.hpp"
@@ -30,15 +31,6 @@ double coveredArea(const std::vector<Eigen::Vector3f>& points) {
     for (const std::uint64_t cell : of_chunk) cells.tryEmplace(cell, true);
   }
   return static_cast<double>(cells.size()) * static_cast<double>(kCell * kCell);
-}
-
-std::vector<Eigen::Vector3f> pointsAt(const std::vector<Eigen::Vector3f>& points,
-                                      const std::vector<std::uint32_t>& indices) {
-  std::vector<Eigen::Vector3f> out(indices.size());
-  parallelChunks(indices.size(), kChunk, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t k = begin; k < end; ++k) out[k] = points[indices[k]];
-  });
-  return out;
 }
 
 /// Puts into the place of a cloud what stands for its points, the first of each voxel or its
@@ -88,10 +80,10 @@ DensePoints thin(PointCloud& cloud, PointCloud& feet, PointCloud& isolated, doub
   std::optional<VoxelGroups> voxels(std::in_place, cloud.points, static_cast<float>(width));
   while (tooMany(voxels->size())) {
     // One point of each voxel lies in nearly as many wider ones as all do, never in more.
-    std::vector<Eigen::Vector3f> of_each = pointsAt(cloud.points, voxels->first());
+    std::vector<Eigen::Vector3f> of_each = valuesAt(cloud.points, voxels->first());
     while (tooMany(of_each.size())) {
       width *= kStep;
-      of_each = pointsAt(of_each, VoxelGroups(of_each, static_cast<float>(width)).first());
+      of_each = valuesAt(of_each, VoxelGroups(of_each, static_cast<float>(width)).first());
     }
     voxels.emplace(cloud.points, static_cast<float>(width));
   }

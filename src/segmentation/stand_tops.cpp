@@ -239,6 +239,7 @@ std::vector<float> giveTopsBack(const std::vector<Eigen::Vector3f>& points,
   const Stand stand(points, std::vector<StemLine>(axes.begin(), axes.end()), of_plants);
   std::vector<float> doubts(axes.size(), 0.0F);
   if (stand.disputedByChance() > kMostByChance) return doubts;
+  bool has_given = false;
   for (std::size_t plant = 0; plant < axes.size(); ++plant) {
     if (!stand.isFarOff(plant, kAside)) continue;
     HighestPoints highest(stand.top(plant).z);
@@ -253,7 +254,9 @@ std::vector<float> giveTopsBack(const std::vector<Eigen::Vector3f>& points,
     });
     if (count < kFewest || highest.last() - stand.top(plant).z < kLeastRise) continue;
     for (const std::uint32_t i : held) owners.plant[i] = static_cast<std::int32_t>(plant);
+    has_given = true;
   }
+  if (!has_given) return doubts;
   std::vector<float> tops(axes.size(), std::numeric_limits<float>::lowest());
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     if (owners.of(i) < 0) continue;

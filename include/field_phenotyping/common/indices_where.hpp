@@ -33,4 +33,16 @@ std::vector<std::uint32_t> indicesWhere(std::size_t count, const Keep& keep) {
   return indices;
 }
 
+/// The values that have these numbers, in their order, copied on all cores.
+template <class Value>
+std::vector<Value> valuesAt(const std::vector<Value>& values,
+                            const std::vector<std::uint32_t>& indices) {
+  constexpr std::size_t kChunk = 16384U;
+  std::vector<Value> out(indices.size());
+  parallelChunks(indices.size(), kChunk, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) out[k] = values[indices[k]];
+  });
+  return out;
+}
+
 }  // namespace field_phenotyping
