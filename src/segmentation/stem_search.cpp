@@ -281,6 +281,15 @@ bool showLittle(const std::vector<GrownStem>& stems, double slab) {
 
 }  // namespace
 
+GrownStem growAlong(const GrowthScene& scene, const StemAxis& axis, float plant_height,
+                    const SegmentationParameters& parameters) {
+  const float reach = kStemSurroundings * static_cast<float>(parameters.max_stem_radius);
+  Midline midline = midlineAlong(scene, axis, plant_height, parameters);
+  midline.axis = midline.axis.below(
+      findStemTop(scene.points, pointsAround(scene, midline.axis, reach), midline));
+  return growCandidate(scene, std::move(midline), parameters);
+}
+
 std::vector<StemSeeds> withoutFloating(std::vector<StemSeeds> seeds,
                                        const std::vector<GrownStem>& stand,
                                        const GroundModel& ground, const Canopy& canopy,

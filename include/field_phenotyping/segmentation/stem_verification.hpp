@@ -43,6 +43,10 @@ struct StemCandidate {
       points;  ///< that grew, ascending indices into the block's cloud
 };
 
+/// Factor on the merit of a stem that the odds of its place (RowModel) are worth: merit is no
+/// probability, and a place alone makes no stem.
+float meritOfOdds(double odds);
+
 /// How the stems lean that axes describe; not known from a few.
 StandLean leanOf(const std::vector<StemAxis>& stems);
 
