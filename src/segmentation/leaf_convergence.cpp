@@ -1,10 +1,11 @@
 #include "field_phenotyping/segmentation/leaf_convergence.hpp"
 
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
+
+#include "field_phenotyping/common/bounds.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -15,10 +16,10 @@ constexpr float kBlur = 0.015F;  // [m] by which a tangent misses the stem
 /// Votes by place: how many, and from which sides.
 class VoteMap {
  public:
-  explicit VoteMap(const Eigen::AlignedBox2f& box)
-      : corner_(box.min()),
-        columns_(cellsOver(box.sizes().x())),
-        rows_(cellsOver(box.sizes().y())),
+  explicit VoteMap(const Bounds& bounds)
+      : corner_(bounds.low.head<2>()),
+        columns_(cellsOver(bounds.high.x() - bounds.low.x())),
+        rows_(cellsOver(bounds.high.y() - bounds.low.y())),
         votes_(columns_ * rows_, Eigen::Vector3f::Zero()) {}
 
   std::size_t columns() const { return columns_; }
@@ -138,9 +139,7 @@ std::vector<LeafConvergence> findLeafConvergences(const Block& block,
                                                   float plant_height, float least_distance) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   if (points.empty()) return {};
-  Eigen::AlignedBox2f box;
-  for (const Eigen::Vector3f& point : points) box.extend(point.head<2>());
-  VoteMap map(box);
+  VoteMap map(boundsOf(points));
   for (std::size_t i = 0; i < points.size(); ++i) {
     vote(points[i], shapes[i], block.ground.heightAbove(points[i]), plant_height, map);
   }

@@ -51,11 +51,9 @@ std::vector<GrownStem> onlyInRows(const Block& block, std::vector<GrownStem> ste
 std::vector<LeafConvergence> onlyPlants(std::vector<LeafConvergence> places,
                                         const SegmentationParameters& parameters) {
   if (places.empty()) return {};
-  constexpr float kGood = 0.3F;  // of the best
-  const auto good = std::partition_point(places.begin(), places.end(), [&](const auto& place) {
-    return place.votes >= kGood * places.front().votes;
-  });
-  const float usual = places[static_cast<std::size_t>(good - places.begin() - 1) / 2U].votes;
+  std::vector<float> votes;
+  for (const LeafConvergence& place : places) votes.push_back(place.votes);
+  const float usual = usualOf(votes);
   constexpr float kSure = 0.5F;  // of the usual: of a plant
   std::vector<PlantPlace> plants;
   for (const LeafConvergence& place : places) {
@@ -129,8 +127,8 @@ std::vector<GrownStem> onlyWhereLeavesConverge(const GrowthScene& scene, const B
     }
     const float radius = 0.5F * static_cast<float>(parameters.max_stem_radius);
     const Eigen::Vector3f top = foot + kHigh * plant_height * Eigen::Vector3f::UnitZ();
-    stems.push_back(
-        growAlong(scene, StemAxis({{foot, radius}, {top, radius}}), plant_height, parameters));
+    stems.push_back(growAlong(scene, StemAxis({{foot, radius}, {top, radius}}), 0.0F, plant_height,
+                              parameters));
   }
   return stems;
 }

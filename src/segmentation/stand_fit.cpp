@@ -199,27 +199,23 @@ std::vector<GrownStem> refitSeedlings(const GrowthScene& scene, const StemSelect
   const auto footOf = [](const GrownStem& stem) -> Eigen::Vector2f {
     return stem.midline.axis.nodes().front().position.head<2>();
   };
-  const auto apart = [&](const GrownStem& a, const GrownStem& b) {
-    return (footOf(a) - footOf(b)).norm();
-  };
   const StandLean lean = leanOf(axesOf(stems));
   const auto leaning = [&](const GrownStem& stem) {
-    const std::vector<StemAxis::Node>& nodes = stem.midline.axis.nodes();
-    const Eigen::Vector3f chord = nodes.back().position - nodes.front().position;
-    return (chord.head<2>() / chord.z() - lean.slope).norm();
+    return (slopeOf(stem.midline.axis) - lean.slope).norm();
   };
   constexpr float kAstray = 0.03F;   // [m] along a leaf
   constexpr float kLeaning = 0.36F;  // slope to the usual axis
-  std::vector<GrownStem> near;
+  std::vector<Eigen::Vector2f> feet;
   for (std::size_t s = 0; s < stems.size(); ++s) {
-    const bool astray = apart(refitted[s], stems[s]) > kAstray &&
+    const bool astray = (footOf(refitted[s]) - footOf(stems[s])).norm() > kAstray &&
                         leaning(refitted[s]) > std::max(leaning(stems[s]), kLeaning);
-    near.push_back(astray ? stems[s] : std::move(refitted[s]));
+    if (astray) refitted[s] = stems[s];
+    feet.push_back(footOf(refitted[s]));
   }
-  std::vector<GrownStem> kept = onlyStems(selection, std::vector<GrownStem>(near));
+  std::vector<GrownStem> kept = onlyStems(selection, std::move(refitted));
   for (std::size_t s = 0; s < stems.size(); ++s) {
     const bool is_kept = std::any_of(kept.begin(), kept.end(), [&](const GrownStem& stem) {
-      return apart(stem, near[s]) < static_cast<float>(parameters.min_plant_spacing);
+      return (footOf(stem) - feet[s]).norm() < static_cast<float>(parameters.min_plant_spacing);
     });
     if (!is_kept) kept.push_back(std::move(stems[s]));
   }
@@ -242,7 +238,7 @@ void steadySeedlings(float plant_height, std::vector<GrownStem>& stems) {
     const float scatter =
         std::max(lean.scatter * lean.scatter - error * error, kLeastScatter * kLeastScatter);
     const float share = error * error / (scatter + error * error);
-    const Eigen::Vector2f change = share * (lean.slope - chord.head<2>() / chord.z());
+    const Eigen::Vector2f change = share * (lean.slope - slopeOf(axis));
     const float foot = axis.nodes().front().position.z() + kFoot * chord.z();
     std::vector<StemAxis::Node> nodes = axis.nodes();
     for (StemAxis::Node& node : nodes) {

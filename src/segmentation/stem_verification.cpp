@@ -147,11 +147,6 @@ std::vector<std::size_t> withoutCrowding(const std::vector<StemCandidate>& candi
   return kept;
 }
 
-Eigen::Vector2f slopeOf(const StemAxis& axis) {
-  const Eigen::Vector3f chord = axis.nodes().back().position - axis.nodes().front().position;
-  return chord.head<2>() / chord.z();
-}
-
 /// Stems of one stand lean about as little as one another; steps from the foot of one to the top of
 /// the next lean more.
 float leanFit(const StemCandidate& stem, const StandLean& stand) {
@@ -258,6 +253,18 @@ float meritOfOdds(double odds) {
   return static_cast<float>(std::clamp(std::pow(odds, kPower), 1.0 / kMost, kMost));
 }
 
+float usualOf(const std::vector<float>& merits) {
+  constexpr float kGood = 0.3F;  // of the best
+  const auto good = std::partition_point(
+      merits.begin(), merits.end(), [&](float merit) { return merit >= kGood * merits.front(); });
+  return merits[static_cast<std::size_t>(good - merits.begin() - 1) / 2U];  // the better of two
+}
+
+Eigen::Vector2f slopeOf(const StemAxis& axis) {
+  const Eigen::Vector3f chord = axis.nodes().back().position - axis.nodes().front().position;
+  return chord.head<2>() / chord.z();
+}
+
 StandLean leanOf(const std::vector<StemAxis>& stems) {
   constexpr std::size_t kLeastStems = 6U;
   constexpr float kLeastScatter = 0.03F;  // of the slope
@@ -311,12 +318,9 @@ std::vector<std::size_t> StemSelection::stemsAmong(
   if (distinct.empty()) return {};
 
   // Measured against what good ones have.
-  std::vector<float> good;
-  for (const std::size_t c : distinct) {
-    constexpr float kGood = 0.3F;
-    if (merits[c] >= kGood * merits[distinct.front()]) good.push_back(merits[c]);
-  }
-  const float usual = good[(good.size() - 1U) / 2U];  // best first: the better one of two
+  std::vector<float> of_distinct;
+  for (const std::size_t c : distinct) of_distinct.push_back(merits[c]);
+  const float usual = usualOf(of_distinct);
   constexpr float kLeastShare = 0.25F;
   std::vector<std::size_t> stems;
   for (const std::size_t c : distinct) {
