@@ -64,8 +64,10 @@ struct PreprocessingParameters {
                     "of neighbouring tiles that goes with a block so that border plants are whole; "
                     "half of it until no more comes"},
       p.block_margin, 0.0, 5.0);
-    v(ParameterInfo{"ground_cell", "m", "spacing of the nodes of the soil model"}, p.ground_cell,
-      0.05, 5.0);
+    v(ParameterInfo{"ground_cell", "m",
+                    "planes are fitted to the soil this far apart, and twice as close it is "
+                    "settled on its points"},
+      p.ground_cell, 0.05, 5.0);
     v(ParameterInfo{"ground_distance", "m", "points nearer to the soil than this are soil (2.3.2)"},
       p.ground_distance, 0.005, 0.5);
     v(ParameterInfo{"ground_max_tilt", "deg",

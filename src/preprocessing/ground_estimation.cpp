@@ -12,7 +12,9 @@
 #include "common/gpu_streams.hpp"
 #include "field_phenotyping/common/bounds.hpp"
 #include "field_phenotyping/common/indices_where.hpp"
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/preprocessing/soil_plane_team.hpp"
@@ -286,6 +288,116 @@ void fillUnseenNodes(std::vector<GroundModel::Node>& nodes, int columns, int row
   }
 }
 
+/// What soil points round a node say of how far the model is off there.
+struct Offset {
+  float value = 0.0F;      ///< their median height above the model [m]
+  float spread = 0.0F;     ///< their standard deviation [m]
+  std::size_t points = 0;  ///< 0: too few to tell
+
+  /// Of `value`, where soil usually scatters by `usual`. What scatters more has weeds and low
+  /// leaves in it, and is off by about as much.
+  float variance(float usual) const {
+    constexpr float kOfMedian = 1.57F;  // times as uncertain as a mean
+    const float growth = std::max(spread * spread - usual * usual, 0.0F);
+    return kOfMedian * usual * usual / static_cast<float>(points) + growth;
+  }
+};
+
+Offset offsetOf(std::vector<float> heights) {
+  constexpr std::size_t kLeast = 4U;
+  if (heights.size() < kLeast) return {};
+  Offset offset;
+  offset.points = heights.size();
+  offset.value = medianOf(heights);
+  for (float& height : heights) height = std::abs(height - offset.value);
+  offset.spread =
+      std::max(static_cast<float>(kMadToSigma) * medianOf(std::move(heights)), kMinRoughness);
+  return offset;
+}
+
+/// The same surface, with a node halfway between any two.
+GroundModel withTwiceTheNodes(const GroundModel& ground) {
+  const float spacing = 0.5F * ground.spacing();
+  const int columns = 2 * ground.columns() - 1;
+  const int rows = 2 * ground.rows() - 1;
+  std::vector<GroundModel::Node> nodes;
+  nodes.reserve(static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows));
+  for (int row = 0; row < rows; ++row) {
+    const float y = ground.corner().y() + spacing * static_cast<float>(row);
+    for (int column = 0; column < columns; ++column) {
+      const float x = ground.corner().x() + spacing * static_cast<float>(column);
+      const std::uint8_t seen = ground.seenAt(x, y) ? 1U : 0U;
+      nodes.push_back({ground.heightAt(x, y), ground.stddevAt(x, y), seen});
+    }
+  }
+  return {ground.corner(), spacing, columns, rows, std::move(nodes), ground.observed()};
+}
+
+/// Points about as near to the model as soil may be: some tens round each node, which tell as much
+/// of it as thousands.
+std::vector<Eigen::Vector3f> pointsNear(const GroundModel& ground,
+                                        const std::vector<Eigen::Vector3f>& points, float most) {
+  constexpr std::size_t kEnough = 16U;  // for each node; four share a point
+  const std::vector<float> heights = ground.heightsAbove(points);
+  std::vector<std::uint32_t> near =
+      indicesWhere(points.size(), [&](std::size_t i) { return std::abs(heights[i]) <= most; });
+  const std::size_t step =
+      std::max<std::size_t>(near.size() / (kEnough * ground.nodes().size()), 1U);
+  std::vector<Eigen::Vector3f> some;
+  for (std::size_t k = 0; k < near.size(); k += step) some.push_back(points[near[k]]);
+  return some;
+}
+
+/// Moves the nodes to the middle of the soil points round each, for planes level ridges and
+/// furrows. By how much of it is told by how much more such middles differ from the model than by
+/// chance: on level soil they move by next to nothing.
+GroundModel settled(const GroundModel& ground, const std::vector<Eigen::Vector3f>& points,
+                    float tolerance) {
+  const int columns = ground.columns();
+  const int rows = ground.rows();
+  std::vector<GroundModel::Node> nodes = ground.nodes();
+  std::vector<std::vector<float>> nearby(nodes.size());
+  for (const Eigen::Vector3f& point : points) {
+    const float height = ground.heightAbove(point);
+    if (std::abs(height) > tolerance) continue;
+    const Eigen::Vector2f at = (point.head<2>() - ground.corner()) / ground.spacing();
+    const int i = static_cast<int>(at.x());
+    const int j = static_cast<int>(at.y());
+    for (int y = j; y <= std::min(j + 1, rows - 1); ++y) {
+      for (int x = i; x <= std::min(i + 1, columns - 1); ++x) {
+        nearby[static_cast<std::size_t>(y) * static_cast<std::size_t>(columns) +
+               static_cast<std::size_t>(x)]
+            .push_back(height);
+      }
+    }
+  }
+  std::vector<Offset> offsets(nodes.size());
+  parallelFor(nodes.size(), [&](std::size_t node) {
+    if (nodes[node].seen != 0U) offsets[node] = offsetOf(std::move(nearby[node]));
+  });
+  // Medians of the field, for at weeds and stems' feet offsets are none of the soil's.
+  const auto usualOf = [&](auto value) {
+    std::vector<float> values;
+    for (const Offset& offset : offsets) {
+      if (offset.points > 0U) values.push_back(value(offset));
+    }
+    return values.empty() ? 0.0F : medianOf(std::move(values));
+  };
+  const float spread = usualOf([](const Offset& offset) { return offset.spread; });
+  const float by_chance = usualOf([&](const Offset& offset) { return offset.variance(spread); });
+  const float size = static_cast<float>(kMadToSigma) *
+                     usualOf([](const Offset& offset) { return std::abs(offset.value); });
+  const float variance = size * size - by_chance;
+  if (!(variance > 0.0F)) return ground;
+  for (std::size_t node = 0; node < nodes.size(); ++node) {
+    const Offset& offset = offsets[node];
+    if (offset.points == 0U) continue;
+    nodes[node].height += variance / (variance + offset.variance(spread)) * offset.value;
+    nodes[node].stddev = std::min(nodes[node].stddev, std::max(offset.spread, spread));
+  }
+  return {ground.corner(), ground.spacing(), columns, rows, std::move(nodes), ground.observed()};
+}
+
 }  // namespace
 
 GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameters& parameters,
@@ -335,7 +447,16 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
     nodes[node] = fitNode(position, block_plane, nearby[node], spacing, max_slope);
   });
   fillUnseenNodes(nodes, columns, rows);
-  return {extent.low, spacing, columns, rows, std::move(nodes), observed};
+  GroundModel ground(extent.low, spacing, columns, rows, std::move(nodes), observed);
+  if (!observed) return ground;
+
+  // 4. Closer to it, where it is no plane.
+  constexpr int kRounds = 2;
+  const auto soil = static_cast<float>(parameters.ground_distance);
+  ground = withTwiceTheNodes(ground);
+  const std::vector<Eigen::Vector3f> points = pointsNear(ground, cloud.points, kRounds * soil);
+  for (int round = 0; round < kRounds; ++round) ground = settled(ground, points, soil);
+  return ground;
 }
 
 std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundModel& ground,

@@ -172,8 +172,8 @@ TEST(Ground, RidgesAreFollowed) {
     std::printf("ridges: rms %.4f m, worst %.4f m, soil %.3f\n", error.rms, error.worst,
                 score.soil_found);
     // A plane would be off by 0.06 / sqrt(8) = 0.021 m, and by 0.030 m on the crests.
-    EXPECT_LT(error.rms, 0.013);
-    EXPECT_LT(error.worst, 0.022);
+    EXPECT_LT(error.rms, 0.003);
+    EXPECT_LT(error.worst, 0.012);
     EXPECT_GT(score.soil_found, 0.95);
   }
 }

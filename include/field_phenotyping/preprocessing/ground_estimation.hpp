@@ -11,8 +11,9 @@
 namespace field_phenotyping {
 
 /// Models the soil below a cloud (2.3.2, made local): a plane by RANSAC over the lowest points,
-/// held near horizontal by gravity, then a robust plane round every node of a grid, so that slopes,
-/// ridges and roughness are followed.
+/// held near horizontal by gravity, then a robust plane round every node of a grid, so that slopes
+/// and roughness are followed, then the middle of the soil points round twice as many nodes along x
+/// and y, so that ridges are.
 ///
 /// Where too little of the seen area shows soil (it was cropped away) the model is marked as not
 /// observed and follows the lowest plant points instead. Deterministic. An empty cloud gives an
