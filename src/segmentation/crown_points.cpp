@@ -18,11 +18,12 @@ namespace {
 /// hardly anything is seen from some height on.
 struct Reach {
   float aside;  // of its stem's line
+  float lone;   // the same, of what is no plant's, where no other line is nearly as near
   float gap;    // along the line, without a point of the plant
 };
-constexpr Reach kSeen = {0.06F, 0.25F};
-constexpr Reach kSparse = {0.10F, 0.60F};  // a tassel's branches, and what it leans
-constexpr float kHighest = 1.5F;           // [m] above a stem's end
+constexpr Reach kSeen = {0.06F, 0.06F, 0.25F};
+constexpr Reach kSparse = {0.10F, 0.20F, 0.60F};  // a tassel's branches, and what it leans
+constexpr float kHighest = 1.5F;                  // [m] above a stem's end
 
 /// A stem's line above its end.
 struct Line {
@@ -49,7 +50,8 @@ struct Candidate {
   std::int32_t* owner;
   bool isolated = false;
   std::int32_t nearest = -1;  // plant whose line is nearest, if it is within the tube
-  float aside = std::numeric_limits<float>::infinity();  // [m] of that line
+  float aside = std::numeric_limits<float>::infinity();   // [m] of that line
+  float second = std::numeric_limits<float>::infinity();  // [m] of the next line
 };
 
 std::vector<Candidate> findCandidates(const Block& block, double sparse_from, PointOwners& owners,
@@ -73,9 +75,12 @@ std::vector<Candidate> findCandidates(const Block& block, double sparse_from, Po
   return candidates;
 }
 
-/// @param tube [m] about a line
-void findNearestLines(const std::vector<Line>& lines, float tube,
+/// How many times as far the next line is from what may go to a line that is not near.
+constexpr float kClear = 1.6F;
+
+void findNearestLines(const std::vector<Line>& lines, const Reach& reach,
                       std::vector<Candidate>& candidates) {
+  const float tube = kClear * reach.lone;  // [m] about a line
   std::vector<Eigen::Vector3f> places;
   for (const Candidate& candidate : candidates) places.push_back(candidate.place);
   const NeighborGrid grid(places, tube);
@@ -87,10 +92,16 @@ void findNearestLines(const std::vector<Line>& lines, float tube,
                                Candidate& candidate = candidates[k];
                                const float aside = line.aside(candidate.place);
                                if (line.along(candidate.place) < 0.0F) return;
-                               if (!(aside < std::min(tube, candidate.aside))) return;
-                               candidate.aside = aside;
+                               if (!(aside < candidate.second)) return;
+                               candidate.second = aside;
+                               if (!(aside < candidate.aside)) return;
+                               std::swap(candidate.aside, candidate.second);
                                candidate.nearest = static_cast<std::int32_t>(plant);
                              });
+  }
+  for (Candidate& candidate : candidates) {
+    const bool is_lone = *candidate.owner < 0 && candidate.second >= kClear * candidate.aside;
+    if (!(candidate.aside < (is_lone ? reach.lone : reach.aside))) candidate.nearest = -1;
   }
 }
 
@@ -139,7 +150,7 @@ void dropDust(const Block& block, const std::vector<Line>& lines, double sparse_
   for (const Candidate& candidate : candidates) {
     if (!candidate.isolated || !stand.contains(candidate.place.head<2>())) continue;
     Layer& layer = layerOf(candidate);
-    (candidate.nearest >= 0 ? layer.within : layer.beside) += 1.0F;
+    (candidate.aside < kSparse.aside ? layer.within : layer.beside) += 1.0F;
   }
   if (layers.empty()) return;
   const float of_dust = dustWithinTubes(middles, stand);
@@ -168,7 +179,7 @@ void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, doub
   std::vector<Line> lines;
   for (const StemAxis& axis : axes) lines.emplace_back(axis);
   const Reach reach = std::isfinite(sparse_from) ? kSparse : kSeen;
-  findNearestLines(lines, reach.aside, candidates);
+  findNearestLines(lines, reach, candidates);
   dropDust(block, lines, sparse_from, candidates);
 
   std::vector<float> reached(lines.size(), 0.0F);  // along each line, by points of its plant

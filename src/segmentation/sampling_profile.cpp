@@ -29,15 +29,6 @@ SamplingProfile::SamplingProfile(const std::vector<float>& heights,
     points[band] += 1.0;
     neighbors[band] += static_cast<double>(shapes[i].neighbors) - 1.0;  // itself is one
   }
-  constexpr double kFewNeighbors = 7.0;
-  std::size_t sparse = points.size();
-  while (sparse > 0U && (points[sparse - 1U] < kLeastPoints ||
-                         neighbors[sparse - 1U] < kFewNeighbors * points[sparse - 1U])) {
-    --sparse;
-  }
-  if (sparse < points.size()) sparse_from_ = kBand * static_cast<double>(sparse);
-
-  while (!points.empty() && points.back() < kLeastPoints) points.pop_back();
   for (std::size_t band = 0; band < points.size(); ++band) {
     bands_.push_back(points[band] < kLeastPoints ? 0.0 : neighbors[band] / points[band]);
   }
@@ -46,8 +37,12 @@ SamplingProfile::SamplingProfile(const std::vector<float>& heights,
     bands_.clear();
     return;
   }
+  constexpr double kFew = 7.0;  // neighbours
+  const auto sparse = std::find_if(best, bands_.end(), [](double seen) { return seen < kFew; });
+  if (sparse != bands_.end()) sparse_from_ = kBand * static_cast<double>(sparse - bands_.begin());
   const double most = *best;
   std::fill(bands_.begin(), best, most);
+  while (!(bands_.back() > 0.0)) bands_.pop_back();
   double below = 1.0;
   for (double& band : bands_) {
     band = below = std::clamp(band / most, kLeast, below);

@@ -119,10 +119,16 @@ TEST(CrownPoints, NotWhatStandsBesideTheLineOrBelowTheEnd) {
     Crowns crowns;
     if (sparse) crowns.sparse_from = 0.0;
     const std::size_t near = crowns.add(crowns.over(0, 0.2F, 0.08F));
-    const std::size_t beside = crowns.add(crowns.over(0, 0.2F, 0.12F));
+    const std::size_t lone = crowns.add(crowns.over(0, 0.2F, 0.14F));
+    const std::size_t others = crowns.add(crowns.over(0, 0.2F, 0.14F), 1);
+    const std::size_t between = crowns.add(crowns.over(0, 0.2F, 0.18F));
+    const std::size_t beside = crowns.add({-0.22F, 0.0F, 2.2F});
     const std::size_t below = crowns.add(crowns.over(0, -0.5F, 0.03F));
     crowns.give();
     EXPECT_EQ(crowns.ownerOf(near), sparse ? 0 : -1) << "farther off where little is seen";
+    EXPECT_EQ(crowns.ownerOf(lone), sparse ? 0 : -1) << "no other line is nearly as near";
+    EXPECT_EQ(crowns.ownerOf(others), 1);
+    EXPECT_EQ(crowns.ownerOf(between), -1) << "the other line is nearly as near";
     EXPECT_EQ(crowns.ownerOf(beside), -1);
     EXPECT_EQ(crowns.ownerOf(below), -1);
   }

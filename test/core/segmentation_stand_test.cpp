@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <utility>
 #include <vector>
 
 #include "field_phenotyping/segmentation/sampling_profile.hpp"
@@ -166,7 +167,7 @@ TEST(SamplingProfile, LowPartsInTheShadeOfLeavesCountAsSampledBest) {
 TEST(SamplingProfile, SaysFromWhereOnNothingLeadsFromPointToPoint) {
   // 7 neighbours of 200.
   EXPECT_NEAR(fallingAbove().sparseFrom(), 1.5 + std::log(200.0 / 7.0) / 4.0, 0.1);
-  // A band that is sparse below one that is not does not count, nor do stray points at the top.
+  // A band that is sparse below the best one does not count, nor do stray points at the top.
   std::vector<float> heights;
   std::vector<LocalShape> shapes(1000U);
   for (std::size_t k = 0; k < shapes.size(); ++k) {
@@ -176,6 +177,15 @@ TEST(SamplingProfile, SaysFromWhereOnNothingLeadsFromPointToPoint) {
   EXPECT_TRUE(std::isinf(SamplingProfile(heights, shapes).sparseFrom()));
   heights.push_back(1.45F);
   shapes.emplace_back();
+  EXPECT_NEAR(SamplingProfile(heights, shapes).sparseFrom(), 1.0, 1e-9);
+  // Nor does one tuft above that is seen better.
+  for (std::size_t k = 0; k < 100U; ++k) {
+    for (const auto& [height, neighbors] : {std::pair(1.05F, 3U), std::pair(1.15F, 12U)}) {
+      heights.push_back(height);
+      shapes.emplace_back();
+      shapes.back().neighbors = neighbors;
+    }
+  }
   EXPECT_NEAR(SamplingProfile(heights, shapes).sparseFrom(), 1.0, 1e-9);
 }
 

@@ -22,8 +22,8 @@ class SamplingProfile {
   /// Density at a height above the soil [m], in (0, 1]: 1 up to the best one, falling above.
   double at(double height) const;
 
-  /// Height above the soil [m] from which on points have so few neighbours that nothing leads from
-  /// one to the next; infinite where that is nowhere so.
+  /// Height above the soil [m], above the best one, where points first have so few neighbours that
+  /// nothing leads from one to the next; infinite where that is nowhere so.
   double sparseFrom() const { return sparse_from_; }
 
  private:
