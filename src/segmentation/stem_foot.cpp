@@ -13,6 +13,8 @@ namespace field_phenotyping {
 namespace {
 
 constexpr float kBand = 0.05F;  // [m] along the axis
+// Of Student's distribution of slopes: a few plants lean far more than most of their stand.
+constexpr float kFreedom = 4.0F;
 
 /// What is seen of a stem, band by band from its base.
 struct Sight {
@@ -146,6 +148,12 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
   const Eigen::Vector2f seen_slope = moment / lever;
   constexpr float kLeafPull = 0.015F;  // [m] by which leaves move either end
   const float seen_error = kLeafPull / std::sqrt(lever);
+  // Between that and the stand's, by what is known of either.
+  const float unusual = lean.deviation(seen_slope, 0.0F);
+  const float scatter =
+      lean.scatter * std::sqrt((kFreedom + unusual * unusual) / (kFreedom + 2.0F));
+  const float seen_share = scatter * scatter / (scatter * scatter + seen_error * seen_error);
+  const Eigen::Vector2f expected_slope = lean.slope + seen_share * (seen_slope - lean.slope);
 
   constexpr float kStray = 0.05F;  // of what is seen in all
   float below = 0.0F;
@@ -163,7 +171,7 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
   for (float depth = kLit; depth < height; depth += kSlab) {
     slabs.emplace_back();
     const float at = depth + 0.5F * kSlab;
-    const Eigen::Vector2f expected = middle.head<2>() - at * lean.slope;
+    const Eigen::Vector2f expected = middle.head<2>() - at * expected_slope;
     const Eigen::Vector3f center(expected.x(), expected.y(), middle.z() - at);
     const float reach = SlopeGrid::kReach * at / height + 0.03F;
     grid.forEachWithin(center, std::hypot(reach, 0.5F * kSlab), [&](std::uint32_t i, float) {
@@ -175,7 +183,7 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
 
   // 3. The slope that all agree on best: of a grid of slopes, by what each slab says of all of
   // them.
-  const SlopeGrid slopes(lean.slope, height);
+  const SlopeGrid slopes(expected_slope, height);
   std::vector<double> odds(slopes.size(), 1.0);
   std::vector<float> near;
   for (const std::vector<Drop>& slab : slabs) {
@@ -191,8 +199,9 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
   for (std::size_t k = 0; k < scores.size(); ++k) {
     const Eigen::Vector2f slope = slopes.at(k);
     const float standing = lean.deviation(slope, 0.0F);
+    const float usual = (kFreedom + 2.0F) * std::log1p(standing * standing / kFreedom);
     const float seen = (slope - seen_slope).squaredNorm() / (seen_error * seen_error);
-    scores[k] = std::log(odds[k]) - 0.5 * static_cast<double>(standing * standing + seen);
+    scores[k] = std::log(odds[k]) - 0.5 * static_cast<double>(usual + seen);
   }
   const auto likeliest = std::max_element(scores.begin(), scores.end());
   auto best = static_cast<std::size_t>(likeliest - scores.begin());

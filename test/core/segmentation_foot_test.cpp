@@ -77,6 +77,15 @@ TEST_F(Foot, HiddenOneIsFoundAgain) {
   }
 }
 
+TEST_F(Foot, HiddenOneOfAPlantThatLeansFarMoreThanTheOthersIsFoundAgain) {
+  const Eigen::Vector2f slope(0.12F, -0.11F);  // 5 standard deviations
+  addStem(slope, 0.8F, 300, 10);
+  for (const Eigen::Vector2f& turn : {Eigen::Vector2f(0.03F, 0.0F), Eigen::Vector2f(0.0F, -0.03F),
+                                      Eigen::Vector2f(-0.02F, 0.02F)}) {
+    EXPECT_LT(missBy(slope, turn, uprightStand()), 0.03F);
+  }
+}
+
 TEST_F(Foot, SeenOneStays) {
   const Eigen::Vector2f slope(0.15F, 0.1F);
   addStem(slope, 0.1F, 300, 300);

@@ -34,7 +34,8 @@ Eigen::Vector3f baseOf(const Block& block, const StemAxis& axis);
 /// foot ends up at a neighbour's. So the foot is chosen among the places round it: it should give
 /// the stem a lean that the stand has, agree with the slope of what is seen, meet the few points
 /// that are seen further down, lie in a row, and stand as far from its neighbours there as plants
-/// do. Straight from there to the middle of the part that is seen.
+/// do. Straight from there to the middle of the part that is seen. A few plants lean far more than
+/// most do: slopes are taken as spread as Student's distribution, not as the normal one.
 ///
 /// @param grid over the points of `block.cloud`
 /// @param midline may begin above the soil, where the stem is seen first
