@@ -170,6 +170,21 @@ bool isNearOwner(const Candidate& candidate, const std::vector<Line>& lines) {
          line.aside(candidate.place) < kNearly * candidate.aside;
 }
 
+/// Candidates that a plant may get: how far along its line, and which; upwards.
+using Crown = std::vector<std::pair<float, std::size_t>>;
+
+/// Whether hardly another one stands with it so far above what is known of the plant. A point or
+/// two of another plant's are the tip of one of its leaves there.
+/// @param reached along the line [m]
+bool standsAlone(const Crown& crown, Crown::const_iterator at, float reached) {
+  constexpr float kFar = 0.10F;   // [m]
+  constexpr float kTuft = 0.15F;  // [m]
+  constexpr std::ptrdiff_t kFew = 3;
+  const float along = at->first;
+  const auto end = std::lower_bound(at, crown.end(), std::pair(along + kTuft, std::size_t{0}));
+  return along > reached + kFar && end - at < kFew;
+}
+
 }  // namespace
 
 void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, double sparse_from,
@@ -188,7 +203,7 @@ void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, doub
     const auto plant = static_cast<std::size_t>(owners.plant[i]);
     reached[plant] = std::max(reached[plant], lines[plant].along(block.cloud.points[i]));
   }
-  std::vector<std::vector<std::pair<float, std::size_t>>> crowns(lines.size());  // upwards
+  std::vector<Crown> crowns(lines.size());
   for (std::size_t k = 0; k < candidates.size(); ++k) {
     const Candidate& candidate = candidates[k];
     if (candidate.nearest < 0 || isNearOwner(candidate, lines)) continue;
@@ -197,8 +212,10 @@ void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, doub
   }
   for (std::size_t plant = 0; plant < lines.size(); ++plant) {
     std::sort(crowns[plant].begin(), crowns[plant].end());
-    for (const auto& [along, k] : crowns[plant]) {
+    for (auto at = crowns[plant].cbegin(); at != crowns[plant].cend(); ++at) {
+      const auto [along, k] = *at;
       if (along > reached[plant] + reach.gap) break;
+      if (*candidates[k].owner >= 0 && standsAlone(crowns[plant], at, reached[plant])) continue;
       reached[plant] = std::max(reached[plant], along);
       *candidates[k].owner = static_cast<std::int32_t>(plant);
     }

@@ -77,13 +77,18 @@ TEST(CrownPoints, WhatIsAnothersGoesToTheStemBelowWhereLittleIsSeen) {
   Crowns crowns;
   crowns.sparse_from = 2.1;
   const std::size_t low = crowns.add(crowns.over(0, 0.05F, 0.0F), 1);
-  const std::size_t high = crowns.add(crowns.over(0, 0.2F, 0.0F), 1);
+  std::vector<std::size_t> high;
+  for (const float above : {0.2F, 0.24F, 0.28F}) {
+    high.push_back(crowns.add(crowns.over(0, above, 0.0F), 1));
+  }
+  const std::size_t alone = crowns.add(crowns.over(0, 0.5F, 0.0F), 1);
   const std::size_t between = crowns.add({0.09F, 0.0F, 2.2F}, 1);
   const std::size_t stem = crowns.add(crowns.over(0, 0.25F, 0.0F), 1);
   crowns.owners.stem[stem] = 1;
   crowns.give();
   EXPECT_EQ(crowns.ownerOf(low), 1);
-  EXPECT_EQ(crowns.ownerOf(high), 0);
+  for (const std::size_t i : high) EXPECT_EQ(crowns.ownerOf(i), 0);
+  EXPECT_EQ(crowns.ownerOf(alone), 1) << "no more of it stands there";
   EXPECT_EQ(crowns.ownerOf(between), 1) << "its owner is nearly as near";
   EXPECT_EQ(crowns.ownerOf(stem), 1);
 }

@@ -15,8 +15,9 @@ namespace field_phenotyping {
 ///
 /// What is no plant's yet goes to the line that it is nearest to, up to where too much of that is
 /// empty. From `sparse_from` upwards so does what was given to another plant, unless that one's
-/// line is nearly as near, and what was taken out as an outlier, if there is no dust. In such a
-/// stand what is no plant's may stand farther off a line, where the next one is much farther.
+/// line is nearly as near or it stands high above the plant alone, and what was taken out as an
+/// outlier, if there is no dust. In such a stand what is no plant's may stand farther off a line,
+/// where the next one is much farther.
 ///
 /// @param axes        one a plant; the upper part shows where a stem points
 /// @param sparse_from height above the soil [m], see SamplingProfile::sparseFrom(); infinite: in a
