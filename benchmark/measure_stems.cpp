@@ -215,7 +215,7 @@ json measureField(const Options& options) {
   json rows = json::array();
   for (const auto& completed : result.blocks) {
     const SegmentedBlock& block = *completed->segmented;
-    const std::vector<PlantHeight> paper_heights = measurePlantHeights(block, paper);
+    const std::vector<PlantHeight> paper_heights = measurePlantHeights(block, paper, paper.noise);
     for (std::size_t k = 0; k < block.plants.size(); ++k) {
       const Plant& plant = block.plants[k];
       if (!plant.owned || plant.axis.empty()) continue;

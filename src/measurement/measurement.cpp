@@ -59,6 +59,13 @@ BlockPrior blockPrior(const SegmentedBlock& block, const MeasurementParameters& 
   return {prior, std::move(alone), median_outliers};
 }
 
+/// Of a point across a stem [m].
+double noiseOf(const CrossSectionPrior& stems) {
+  constexpr double kUsual = 0.004;  // of a LiDAR in a map, where stems are not seen well enough
+  if (stems.noise > 0.0) return stems.noise;
+  return std::isfinite(stems.log_noise.value) ? std::exp(stems.log_noise.value) : kUsual;
+}
+
 /// Whether a stem is flatter than any other, its points scatter more than those of the block's
 /// other stems, beyond chance, or far more of them lie off its surface.
 bool looksMerged(const BlockPrior& block, std::size_t index) {
@@ -176,9 +183,9 @@ std::vector<Phenotype> measureBlock(const CompletedBlock& block,
     if (plants[i].owned) owned.push_back(i);
   }
   const std::vector<PlantSpacing> spacings = measureRowSpacing(*block.segmented);
-  const std::vector<PlantHeight> heights =
-      measurePlantHeights(*block.segmented, parameters, device);
   const BlockPrior prior = blockPrior(*block.segmented, parameters, device);
+  const std::vector<PlantHeight> heights =
+      measurePlantHeights(*block.segmented, parameters, noiseOf(prior.prior), device);
   std::vector<StemDiameter> alone;
   if (!prior.alone.empty()) {
     for (const std::size_t i : owned) alone.push_back(prior.alone[i]);

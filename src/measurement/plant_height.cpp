@@ -15,27 +15,74 @@
 namespace field_phenotyping {
 namespace {
 
-constexpr int kSpacings = OutermostHeights::kMost - 1;  // of an end's outermost points
+constexpr int kSpacings = 3;  // of an end's outermost points
 
 /// An end of a plant, upwards or downwards.
 struct End {
   double z = 0.0;        ///< of the outermost point
   double spacing = 0.0;  ///< mean spacing in height of the outermost points; 0 of a single point
   float last = 0.0F;     ///< height of the last of these
+  double outer = 0.0;    ///< from the outermost point to the third [m]
+  double inner = 0.0;    ///< from there to the eighth; 0 of fewer points
 };
 
 End endOf(const OutermostHeights& outermost, float upwards) {
+  constexpr int kThird = 2;
+  constexpr int kEighth = OutermostHeights::kMost - 1;
   End end;
-  const int count = outermost.count;
-  if (count == 0) return end;
+  if (outermost.count == 0) return end;
+  const auto between = [&](int from, int to) {
+    return static_cast<double>(outermost.heights[from] - outermost.heights[to]);
+  };
+  const int last = std::min(outermost.count - 1, kSpacings);
   end.z = static_cast<double>(upwards * outermost.heights[0]);
-  end.last = upwards * outermost.heights[count - 1];
-  if (count > 1) {
-    end.spacing = std::abs(outermost.heights[0] - outermost.heights[count - 1]) /
-                  static_cast<double>(count - 1);
+  end.last = upwards * outermost.heights[last];
+  if (last > 0) end.spacing = between(0, last) / static_cast<double>(last);
+  if (outermost.count > kEighth) {
+    end.outer = between(0, kThird);
+    end.inner = between(kThird, kEighth);
   }
   return end;
 }
+
+/// How points thin out towards an end: their number grows as a power of the distance from it. 1
+/// where they go on as they are up to it, as along the branches of a tassel; 2 where there are ever
+/// fewer, as towards the tip of a leaf.
+class Thinning {
+ public:
+  explicit Thinning(double power) : power_(power) {}
+
+  /// By the spacings of the outermost points, outer ones relative to inner ones.
+  static Thinning of(double outer, double inner) {
+    constexpr int kSteps = 40;
+    double low = 0.5;
+    double high = 2.0;
+    for (int step = 0; step < kSteps; ++step) {
+      const double middle = 0.5 * (low + high);
+      const Thinning thinning(middle);
+      const double of_middle =
+          (thinning.toPoint(3) - thinning.toPoint(1)) / (thinning.toPoint(8) - thinning.toPoint(3));
+      (of_middle * inner < outer ? low : high) = middle;
+    }
+    return Thinning(0.5 * (low + high));
+  }
+
+  /// From the end to the outermost point, in mean spacings of the outermost points: mean and
+  /// standard deviation.
+  Trait toOutermost() const {
+    const double first = toPoint(1);
+    const double spacing = (toPoint(1 + kSpacings) - first) / static_cast<double>(kSpacings);
+    return {first / spacing, std::sqrt(std::tgamma(1.0 + 2.0 / power_) - first * first) / spacing};
+  }
+
+ private:
+  /// Mean distance of the k-th outermost point, but for a factor.
+  double toPoint(int k) const {
+    return std::exp(std::lgamma(k + 1.0 / power_) - std::lgamma(static_cast<double>(k)));
+  }
+
+  double power_;
+};
 
 /// False where they are to be looked for on the CPU.
 bool findOnGpu(const PointCloud& cloud, const std::vector<PlantEndTask>& tasks,
@@ -71,8 +118,9 @@ std::vector<End> endsOf(const SegmentedBlock& block, float upwards, const Comput
 /// How far plants of a stand go on beyond their outermost points.
 class Overhang {
  public:
-  /// @param ends of the block's plants, in their order
-  Overhang(const SegmentedBlock& block, const std::vector<End>& ends) {
+  /// @param ends  of the block's plants, in their order
+  /// @param noise of a point [m]
+  Overhang(const SegmentedBlock& block, const std::vector<End>& ends, double noise) {
     constexpr std::size_t kFewest = 5U;
     std::vector<double> spacings;
     for (std::size_t i = 0; i < ends.size(); ++i) {
@@ -95,18 +143,40 @@ class Overhang {
     const double by_chance = mean_ * mean_ / static_cast<double>(kSpacings);
     const double between = std::max(0.0, squares / count - mean_ * mean_ - by_chance);
     own_weight_ = between > 0.0 ? between / (between + by_chance) : 0.0;
+
+    // So many plants are taken as seen whose points do not thin out. Where the noise is thicker
+    // than the spacings are, it is what spreads them; where they are longer than a tip, what is
+    // hidden.
+    constexpr double kEvenPlants = 20.0;
+    constexpr double kTip = 0.03;   // [m]
+    constexpr double kOuter = 2.0;  // spacings
+    constexpr double kInner = 5.0;
+    double outer = kEvenPlants * kOuter * mean_;
+    double inner = kEvenPlants * kInner * mean_;
+    for (const End& end : ends) {
+      if (end.spacing > most_) continue;
+      outer += end.outer;
+      inner += end.inner;
+    }
+    const Trait thinning = Thinning::of(outer, inner).toOutermost();
+    const double variance = mean_ * mean_;
+    const double seen =
+        variance / (variance + noise * noise) * kTip * kTip / (kTip * kTip + variance);
+    beyond_ = {1.0 + seen * (thinning.value - 1.0), 1.0 + seen * (thinning.stddev - 1.0)};
   }
 
   /// Expected of a plant [m].
   Trait of(const End& end) const {
-    const double value = own_weight_ * std::min(end.spacing, most_) + (1.0 - own_weight_) * mean_;
-    return {value, end.spacing > most_ ? end.spacing : value};
+    const double spacing = own_weight_ * std::min(end.spacing, most_) + (1.0 - own_weight_) * mean_;
+    return {beyond_.value * spacing,
+            beyond_.stddev * (end.spacing > most_ ? end.spacing : spacing)};
   }
 
  private:
   double mean_ = 0.0;
   double own_weight_ = 1.0;
   double most_ = std::numeric_limits<double>::infinity();
+  Trait beyond_{1.0, 1.0};  ///< the outermost point, in spacings
 };
 
 /// How few points are seen about the top of each plant: 1 where there are none but those that it
@@ -143,14 +213,14 @@ std::vector<double> sparsenessOfTops(const SegmentedBlock& block, const std::vec
 }  // namespace
 
 std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
-                                             const MeasurementParameters& parameters,
+                                             const MeasurementParameters& parameters, double noise,
                                              const ComputeDevice& device) {
   const bool soil = block.ground.observed();
   const std::vector<End> tops = endsOf(block, 1.0F, device);
-  const Overhang above(block, tops);
+  const Overhang above(block, tops, noise);
   // Where there is soil it says where plants begin.
   const std::vector<End> bottoms = soil ? std::vector<End>() : endsOf(block, -1.0F, device);
-  const Overhang below(block, bottoms);
+  const Overhang below(block, bottoms, noise);
   const std::vector<double> sparseness = sparsenessOfTops(block, tops);
   const double corrected = parameters.mode == "paper" ? 0.0 : 1.0;
 

@@ -533,9 +533,10 @@ TEST_F(Gpu, HeightsAreTheSameBitForBit) {
     block.plants.push_back(plant);
     begin += size;
   }
-  const std::vector<PlantHeight> on_cpu = measurePlantHeights(block, {});  // no soil: both ends
+  const std::vector<PlantHeight> on_cpu =
+      measurePlantHeights(block, {}, 0.003);  // no soil: both ends
   for (int run = 0; run < 2; ++run) {
-    const std::vector<PlantHeight> on_gpu = measurePlantHeights(block, {}, device_);
+    const std::vector<PlantHeight> on_gpu = measurePlantHeights(block, {}, 0.003, device_);
     ASSERT_EQ(on_gpu.size(), on_cpu.size());
     for (std::size_t i = 1; i < on_cpu.size(); ++i) {  // the first has no points
       EXPECT_EQ(on_gpu[i].height.value, on_cpu[i].height.value) << i;
@@ -543,7 +544,7 @@ TEST_F(Gpu, HeightsAreTheSameBitForBit) {
     }
   }
   EXPECT_EQ(device_.use().gpu_steps, 4U) << "two times two ends";
-  EXPECT_TRUE(measurePlantHeights({}, {}, device_).empty());
+  EXPECT_TRUE(measurePlantHeights({}, {}, 0.003, device_).empty());
 }
 
 TEST_F(Gpu, TheWholePipelineIsTheSame) {

@@ -19,7 +19,7 @@ struct PlantEndTask {
 
 /// The outermost heights at one end, the outermost first; each times PlantEndTask::upwards [m].
 struct OutermostHeights {
-  static constexpr int kMost = 4;
+  static constexpr int kMost = 8;
 
   float heights[kMost];
   int count;

@@ -20,11 +20,13 @@ struct PlantHeight {
 /// base to the plant's top (paper 2.7).
 ///
 /// The beams miss the very tip. What they miss is about the mean spacing in height of the highest
-/// points; a few spacings of one plant say little of it, and where by chance the highest point is
-/// far up they say too much. So it is taken from all plants of the block (empirical Bayes), each
-/// being drawn towards its own as far as the plants differ by more than chance. It is added, and
-/// enters the standard deviation beside that of the soil; a plant whose highest points are farther
-/// apart than in any stand may have been given another's, and its own spacing enters there.
+/// points, or up to two and a half times that where points thin out towards the tip, as on a leaf:
+/// there spacings grow upwards, which all plants of the block together show. A few spacings of one
+/// plant say little, and where by chance the highest point is far up they say too much. So they are
+/// taken from all plants of the block (empirical Bayes), each being drawn towards its own as far as
+/// the plants differ by more than chance. What is missed is added, and enters the standard
+/// deviation beside that of the soil; a plant whose highest points are farther apart than in any
+/// stand may have been given another's, and its own spacing enters there.
 ///
 /// Where hardly anything is seen about the highest points, nothing leads from one to the next, and
 /// which plant they are of can be told by where they stand only: the standard deviation grows, by
@@ -35,8 +37,10 @@ struct PlantHeight {
 /// deviation that of the sampling only. In mode "paper": the highest point, nothing added.
 /// Thread-safe; deterministic; plants are worked side by side. Their outermost points are looked
 /// for on the GPU where there is one, a thread block for each plant, with the same result.
+///
+/// @param noise of a point [m]: spacings that are smaller say little of how points thin out
 std::vector<PlantHeight> measurePlantHeights(const SegmentedBlock& block,
-                                             const MeasurementParameters& parameters,
+                                             const MeasurementParameters& parameters, double noise,
                                              const ComputeDevice& device = {});
 
 }  // namespace field_phenotyping
