@@ -300,8 +300,8 @@ struct MeasurementParameters {
                     "smallest share of the circumference seen; below it the diameter is flagged"},
       p.min_arc, 0.0, 1.0);
     v(ParameterInfo{"max_shift", "m",
-                    "a diameter may be taken this far from the height asked for where the stem is "
-                    "hidden there"},
+                    "a diameter may be taken from points this much farther from the height asked "
+                    "for where few are seen there"},
       p.max_shift, 0.0, 2.0);
     v(ParameterInfo{"ellipticity_prior", "",
                     "standard deviation of each component of (a - b) / (a + b) of a stem, before "

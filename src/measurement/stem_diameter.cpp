@@ -113,12 +113,18 @@ Window windowRound(const Plant& plant, double z, double span) {
   return {std::min(low, z - least), std::max(high, z + least)};
 }
 
-/// Window of the height to take points from: `wished` if the stem is seen round there, else the
-/// best populated one in reach.
+/// Window of the height to take points from: the span round `wished`, longer where it holds few
+/// points, if the stem is seen round there, else the best populated one in reach.
 Window populatedWindow(const SegmentedBlock& block, const Plant& plant, double wished,
                        const MeasurementParameters& p) {
+  constexpr std::size_t kEnough = 60U;
   Window best_window = windowRound(plant, wished, p.diameter_span);
   std::size_t best = countIn(block, plant, best_window);
+  for (int step = 1; step <= kShiftSteps && best < kEnough; ++step) {
+    const double more = 2.0 * p.max_shift * step / kShiftSteps;
+    best_window = windowRound(plant, wished, p.diameter_span + more);
+    best = countIn(block, plant, best_window);
+  }
   if (best >= static_cast<std::size_t>(p.min_points)) return best_window;
   for (int step = 1; step <= kShiftSteps; ++step) {
     for (const double side : {-1.0, 1.0}) {
