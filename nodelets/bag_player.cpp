@@ -10,6 +10,7 @@
 #include <exception>
 #include <future>
 #include <iomanip>
+#include <limits>
 #include <set>
 #include <sstream>
 #include <stdexcept>
@@ -51,7 +52,7 @@ BagPlayer::BagPlayer(ros::NodeHandle nh, const ros::NodeHandle& pnh, std::string
       rate_(clamped(pnh, "rate", 0.0, 0.0)),
       tf_ahead_(clamped(pnh, "tf_ahead", 2.0, 0.0)),
       most_scans_(countOf(pnh, "scans_in_work", 10)),
-      most_blocks_(countOf(pnh, "blocks_in_work", 6)),
+      most_blocks_(countOf(pnh, "blocks_in_work", 3)),
       loops_(countOf(pnh, "loops", 1)),
       loop_period_(clamped(pnh, "loop_period", 0.0, 0.0)),
       loop_step_x_(pnh.param("loop_step_x", 0.0)),
@@ -150,7 +151,7 @@ void BagPlayer::play() {
   for (std::size_t loop = 0; running_ && loop < loops_; ++loop) playOnce(loop);
   if (!running_) return;
   // The last scan may be kept: nothing follows that would take its place.
-  waitForRoom(2U, 1U);
+  waitForRoom(2U, std::numeric_limits<std::size_t>::max());
   told_ = ros::WallTime();
   tell("all scans are placed");
   if (running_) flush();
@@ -162,9 +163,12 @@ void BagPlayer::playOnce(std::size_t loop) {
     sensor_msgs::PointCloud2Ptr scan = instance.instantiate<sensor_msgs::PointCloud2>();
     if (!scan) continue;
     if (loop > 0U) scan->header.stamp = timeIn(loop, scan->header.stamp);
-    waitForRoom(most_scans_, most_blocks_);
     now_ = std::max(now_, timeIn(loop, instance.getTime()));
-    keepPace(now_);
+    if (rate_ > 0.0) {
+      keepPace(now_);
+    } else {
+      waitForRoom(most_scans_, most_blocks_);
+    }
     if (!running_) return;
     playTransformsUntil(instance.getTime() + tf_ahead_, loop);
     tick();
@@ -249,7 +253,7 @@ void BagPlayer::waitForRoom(std::size_t scans, std::size_t blocks) {
 }
 
 void BagPlayer::keepPace(const ros::Time& time) {
-  if (rate_ <= 0.0) return;
+  scansInWork();  // forgets those that are done with
   const ros::WallTime due =
       begin_ + ros::WallDuration((time - scans_->getBeginTime()).toSec() / rate_);
   while (running_ && ros::WallTime::now() < due) {

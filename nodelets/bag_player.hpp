@@ -28,6 +28,9 @@ namespace field_phenotyping {
 /// A scan counts as in work while anybody in the process holds its message, a block until the
 /// measurement has answered its newest revision.
 ///
+/// At a rate it waits for nobody, as a rover does: what comes when, and what is dropped because
+/// more comes than can be worked, is as it would have been on the drive.
+///
 /// Played several times in a row, time goes on from one time to the next, and so does the place:
 /// the transforms of the map are moved on, as if one long field were driven through.
 ///

@@ -144,20 +144,20 @@ class Bench:
 
     def replay(self, bag, *settings):
         """Folder of what replay.launch makes of a bag, with a ROS master of its own, and seconds."""
-        output, process, said, _ = self._start_replay(bag, settings)
+        output, environment = self._new_replay()
         begin = time.time()
-        self._finish_replay(process, said)
+        self._replay(bag, settings, output, environment)
         return output, time.time() - begin
 
     def watched_replay(self, bag, *settings):
         """Like replay(), and what was to be seen meanwhile: (folder, Watch)."""
-        output, process, said, environment = self._start_replay(bag, settings)
-        watch = Watch(environment, os.path.join(output, 'diagnostics.bag'))
-        watch.said = self._finish_replay(process, said)
-        watch.stop()
+        output, environment = self._new_replay()
+        with Watch(environment, os.path.join(output, 'diagnostics.bag')) as watch:
+            watch.said = self._replay(bag, settings, output, environment)
         return output, watch
 
-    def _start_replay(self, bag, settings):
+    def _new_replay(self):
+        """A folder for its output, and the environment of its nodes."""
         output = self.new_folder('replay')
         os.makedirs(output)
         with socket.socket() as listener:
@@ -168,22 +168,18 @@ class Bench:
             ROS_MASTER_URI='http://localhost:{}'.format(port),
             ROS_HOME=os.path.join(output, 'ros'),
         )
-        command = ['roslaunch', '-p', str(port), 'field_phenotyping', 'replay.launch']
+        return output, environment
+
+    def _replay(self, bag, settings, output, environment):
+        """Waits for its end; returns what the nodes said."""
+        command = ['roslaunch', '-p', _port_of(environment), 'field_phenotyping', 'replay.launch']
         command += ['bag:=' + bag, 'output:=' + output] + [str(setting) for setting in settings]
         said = os.path.join(output, 'log')
         with open(said, 'w') as log:
-            process = subprocess.Popen(
-                command, env=environment, stdout=log, stderr=subprocess.STDOUT
-            )
-        return output, process, said, environment
-
-    def _finish_replay(self, process, said):
-        """Waits for the end; returns what the nodes said."""
-        process.wait()
-        with open(said, errors='replace') as log:
-            words = log.read()
-        if process.returncode != 0:
-            raise InputError('{} failed:\n{}'.format(' '.join(process.args), words[-4000:]))
+            done = subprocess.run(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
+        words = _words_in(said)
+        if done.returncode != 0:
+            raise InputError('{} failed:\n{}'.format(' '.join(command), words[-4000:]))
         return words
 
     def measure(self, cloud, *settings):
@@ -204,44 +200,101 @@ class Bench:
         return score(self.measure(cloud_of(field)), field)
 
 
+def _port_of(environment):
+    return environment['ROS_MASTER_URI'].rsplit(':', 1)[1]
+
+
+def _words_in(path):
+    with open(path, errors='replace') as file:
+        return file.read()
+
+
 def _mind_interrupts():
-    """What a shell starts in the background ignores them, and rosbag then does not end well."""
+    """What a shell starts in the background ignores them, and these programs then do not end."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 class Watch:
-    """Records the diagnostics at a ROS master."""
+    """Starts a ROS master and records its diagnostics while the `with` block lasts.
 
-    def __init__(self, environment, diagnostics):
+    The recorder has begun before the block does, and the bag is whole when it ends; else there is
+    an InputError.
+    """
+
+    def __init__(self, environment, diagnostics, patience=60.0):
         self.said = ''  # by the nodes
+        self._environment = environment
         self._diagnostics = diagnostics
-        self._recorder = subprocess.Popen(
-            ['rosbag', 'record', '--quiet', '-O', diagnostics, '/diagnostics'],
-            env=environment,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            preexec_fn=_mind_interrupts,
-        )
+        self._patience = patience  # [s] with each step, on a busy machine
+        self._processes = []
 
-    def stop(self):
-        # roslaunch may have ended the recorder's master already; what it has written is kept.
-        self._recorder.send_signal(signal.SIGINT)
+    def __enter__(self):
         try:
-            self._recorder.wait(20)
+            self._start('roscore', '-p', _port_of(self._environment))
+            # rosrun becomes the recorder; `rosbag record` may end before it, which then still writes.
+            self._start(
+                *('rosrun', 'rosbag', 'record', '-O', self._diagnostics, '/diagnostics'),
+                '__name:=diagnostics_recorder',
+            )
+            self._wait_for_begin()
+        except BaseException:
+            self._kill()
+            raise
+        return self
+
+    def __exit__(self, kind, *_):
+        core, recorder = self._processes
+        try:
+            self._end(recorder)
+            self._end(core)
+        finally:
+            self._kill()
+        if kind is None and not os.path.exists(self._diagnostics):
+            self._fail(recorder, 'left no bag')
+
+    def _start(self, *command):
+        with open(self._diagnostics + '.log', 'a') as log:
+            process = subprocess.Popen(
+                command,
+                env=self._environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                preexec_fn=_mind_interrupts,
+            )
+        self._processes.append(process)
+
+    def _wait_for_begin(self):
+        recorder = self._processes[-1]
+        end = time.time() + self._patience
+        while not os.path.exists(self._diagnostics + '.active'):
+            if recorder.poll() is not None:
+                self._fail(recorder, 'ended with {}'.format(recorder.returncode))
+            if time.time() > end:
+                self._fail(recorder, 'has not begun within {:.0f} s'.format(self._patience))
+            time.sleep(0.05)
+
+    def _end(self, process):
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(self._patience)
         except subprocess.TimeoutExpired:
-            self._recorder.kill()
-            self._recorder.wait()
+            self._fail(process, 'has not ended within {:.0f} s'.format(self._patience))
+
+    def _kill(self):
+        for process in self._processes:
+            process.kill()
+            process.wait()
+
+    def _fail(self, process, what):
+        words = _words_in(self._diagnostics + '.log')
+        raise InputError('{} {}:\n{}'.format(' '.join(process.args), what, words[-4000:]))
 
     def diagnostics(self):
         """{stage: [(ROS time [s], {name: number})]}, oldest first."""
         import rosbag
 
-        path = self._diagnostics
-        if not os.path.exists(path):
-            subprocess.run(['rosbag', 'reindex', '--quiet', path + '.active'])
-            path += '.active'
         stages = {}
-        with rosbag.Bag(path, allow_unindexed=True) as bag:
+        with rosbag.Bag(self._diagnostics) as bag:
             for _, message, _ in bag.read_messages():
                 for status in message.status:
                     stage = status.name.split(':')[0].strip().rsplit('/', 1)[-1]

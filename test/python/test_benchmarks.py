@@ -125,6 +125,56 @@ class Tables(support.FolderTest):
                         bench.measure('cloud.pcd')
 
 
+class RecordedDiagnostics(support.FolderTest):
+    """Watch, with programs in place of ROS's own."""
+
+    def setUp(self):
+        super().setUp()
+        self.bag = self.path('diagnostics.bag')
+        self.environment = dict(
+            os.environ,
+            ROS_MASTER_URI='http://localhost:1',
+            PATH=self.folder + os.pathsep + os.environ['PATH'],
+            BAG=self.bag,
+        )
+        self.make_program('roscore', 'trap "exit 0" INT; while :; do sleep 0.05; done')
+
+    def make_program(self, name, *lines):
+        with open(self.path(name), 'w') as file:
+            file.write('\n'.join(('#!/bin/bash',) + lines) + '\n')
+        os.chmod(self.path(name), 0o755)
+
+    def watch(self, patience=20.0):
+        # subprocess looks programs up on this process's PATH.
+        with mock.patch.dict(os.environ, PATH=self.environment['PATH']):
+            with benchmarks.Watch(self.environment, self.bag, patience):
+                self.assertTrue(os.path.exists(self.bag + '.active'), 'it has not begun')
+
+    def test_a_recorder_that_begins_and_ends_late_is_waited_for(self):
+        self.make_program(
+            'rosrun',
+            'sleep 0.5; echo all > $BAG.active',
+            'trap "sleep 0.5; mv $BAG.active $BAG; exit 0" INT; while :; do sleep 0.05; done',
+        )
+        self.watch()
+        with open(self.bag) as bag:
+            self.assertEqual(bag.read(), 'all\n')
+
+    def test_one_that_does_not_is_named_with_what_it_said(self):
+        never = 'trap "" INT; while :; do sleep 0.05; done'
+        for lines, words in (
+            (('echo no such master; exit 7',), '(?s)ended with 7:.*no such master'),
+            ((never,), 'has not begun within 1 s'),
+            (('touch $BAG.active', never), 'has not ended within 1 s'),
+            (('touch $BAG.active; trap "exit 0" INT', 'while :; do sleep 0.05; done'), 'no bag'),
+        ):
+            self.make_program('rosrun', *lines)
+            with self.assertRaisesRegex(InputError, words):
+                self.watch(patience=1.0)
+            if os.path.exists(self.bag + '.active'):
+                os.remove(self.bag + '.active')
+
+
 class StemWithoutEarsAndTassel(unittest.TestCase):
     """A leaning stem with two leaves, an ear at its side, and a tassel above the upper leaf."""
 

@@ -158,6 +158,17 @@ class ReplayTest(unittest.TestCase):
                 self.assertNotEqual(frames.convert("RGB").tobytes(), first)
         self.assertEqual(len(plants), len(truth), said)
 
+    def test_at_a_rate_what_cannot_be_worked_is_dropped_as_on_a_rover(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag, truth = make_bag(folder, drives=14)
+            code, said, plants = replay(folder, "bag:=" + bag, "rate:=100.0")
+        self.assertEqual(code, 0, said)
+        speed = re.search(r"420 scans, in \S+ s, (\S+) x real time: all scans are placed", said)
+        self.assertTrue(speed, said)
+        self.assertGreater(float(speed.group(1)), 20.0, said)
+        self.assertIn("scans arrive faster than they are worked", said)
+        self.assertEqual(len(plants), len(truth), said)
+
     def test_foreign_bag_of_a_road_gives_no_plant_and_says_why(self):
         bag = os.path.join(SHARED_DATA, "luminar.bag")
         if not os.path.exists(bag):
