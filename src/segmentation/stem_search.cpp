@@ -324,9 +324,13 @@ std::vector<StemSeeds> withoutBeside(std::vector<StemSeeds> seeds,
                                      const std::vector<GrownStem>& stand, float min_spacing) {
   if (!showsFeet(stand)) return seeds;
   constexpr float kSure = 0.5F * kMostEvidence;
+  constexpr float kShort = 0.75F;  // of the stand's usual length
+  std::vector<float> lengths;
+  for (const GrownStem& stem : stand) lengths.push_back(stem.midline.axis.length());
+  const float shortest = kShort * medianOf(std::move(lengths));
   const auto isBeside = [&](const StemSeeds& one, const GrownStem& stem) {
     const StemAxis& axis = stem.midline.axis;
-    if (stem.midline.evidence < kSure * axis.length() ||
+    if (stem.midline.evidence < kSure * axis.length() || axis.length() < shortest ||
         axis.project(one.points.front()).distance >= min_spacing) {
       return false;
     }

@@ -88,6 +88,10 @@ TEST(StemSearch, StartPointsBesideKnownStemsAreTheirLeaves) {
   EXPECT_TRUE(isLeft(beside, sureStandOf(6U, 0U, 0.4F * kMostEvidence))) << "hardly known stems";
   EXPECT_TRUE(isLeft(beside, sureStandOf(6U, 1U, kSure))) << "feet may be hidden";
   EXPECT_TRUE(isLeft(beside, sureStandOf(4U, 0U, kSure))) << "too few stems";
+  std::vector<GrownStem> with_short = sure;
+  StemAxis& axis = with_short[2].midline.axis;
+  axis = axis.below(0.5F * kHeight);
+  EXPECT_TRUE(isLeft(beside, with_short)) << "a stem shorter than the others";
 }
 
 }  // namespace
