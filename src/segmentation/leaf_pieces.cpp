@@ -213,29 +213,53 @@ void growPieces(const OrganCells& cells, const Contacts& contacts,
 }
 
 /// Every `stride`-th cell of each piece, to be looked up by place.
-struct PlacesOfPieces {
-  struct Place {
-    std::uint32_t piece;
-    std::uint32_t cell;
-  };
-
-  PlacesOfPieces(const OrganCells& cells, const LeafPieces& pieces, std::size_t every,
-                 float farthest)
-      : stride(every), reach(farthest) {
+class PlacesOfPieces {
+ public:
+  /// @param reach [m] of the queries
+  PlacesOfPieces(const OrganCells& cells, const LeafPieces& pieces, std::size_t stride, float reach)
+      : stride_(stride), reach_(reach) {
     std::vector<Eigen::Vector3f> centers;
-    for (std::uint32_t piece = 0; piece < pieces.cells.size(); ++piece) {
+    std::vector<std::int32_t> piece_of;
+    for (std::size_t piece = 0; piece < pieces.cells.size(); ++piece) {
       for (std::size_t k = 0; k < pieces.cells[piece].size(); k += stride) {
-        places.push_back({piece, pieces.cells[piece][k]});
-        centers.push_back(cells.centers[places.back().cell]);
+        cells_.push_back(pieces.cells[piece][k]);
+        piece_of.push_back(static_cast<std::int32_t>(piece));
+        centers.push_back(cells.centers[cells_.back()]);
       }
     }
-    grid.emplace(centers, reach);
+    grid_.emplace(centers, reach);
+    pieces_.resize(centers.size() + kLanes);
+    for (std::size_t k = 0; k < centers.size(); ++k) pieces_[k] = piece_of[grid_->sorted(k)];
   }
 
-  std::size_t stride;
-  float reach;  // [m] of the queries
-  std::vector<Place> places;
-  std::optional<NeighborGrid> grid;
+  std::size_t stride() const { return stride_; }
+
+  /// Calls visit(piece, cell, squared distance) for places about a center, of later pieces alone.
+  template <class Visit>
+  void forEachOfLater(std::uint32_t piece, const Eigen::Vector3f& center, Visit&& visit) const {
+    const GridView view = grid_->view();
+    const Place place = NeighborGrid::placeOf(center);
+    const VectorLanes lanes;
+    view.forEachRun(place, place, reach_, [&](const GridView::Run& run) {
+      for (std::uint32_t k = run.begin; k < run.end; k += kLanes) {
+        const Integers later = loadIntegers(&pieces_[k]) > static_cast<std::int32_t>(piece);
+        unsigned near = bitsOf(later & nearAmong(lanes, view, place, reach_, run, k));
+        for (; near != 0U; near &= near - 1U) {
+          const std::uint32_t at = k + static_cast<std::uint32_t>(__builtin_ctz(near));
+          visit(static_cast<std::uint32_t>(pieces_[at]), cells_[view.order[at]],
+                (Eigen::Vector3f(view.x[at], view.y[at], view.z[at]) - center).squaredNorm());
+        }
+      }
+      return true;
+    });
+  }
+
+ private:
+  std::size_t stride_;
+  float reach_;
+  std::vector<std::uint32_t> cells_;
+  std::optional<NeighborGrid> grid_;
+  std::vector<std::int32_t> pieces_;  // by cells of the grid, padded
 };
 
 }  // namespace
@@ -294,9 +318,8 @@ std::vector<std::vector<PieceLink>> linkLeafPieces(const OrganCells& cells,
                            Least& least) {
     const Eigen::Vector3f& center = cells.centers[a];
     const Eigen::Vector3f& direction = cells.shapes[a].direction;
-    among.grid->forEachWithin(center, among.reach, [&](std::uint32_t k, float squared) {
-      const auto [other, b] = among.places[k];
-      if (other <= piece || squared >= least.farthest[other]) return;
+    among.forEachOfLater(piece, center, [&](std::uint32_t other, std::uint32_t b, float squared) {
+      if (squared >= least.farthest[other]) return;
       // What is cheap to know first, since few pairs are better than the best so far.
       const float gap = std::sqrt(squared);
       const float gap_cost = gap / kGapScale;
@@ -329,7 +352,7 @@ std::vector<std::vector<PieceLink>> linkLeafPieces(const OrganCells& cells,
       const auto piece = static_cast<std::uint32_t>(p);
       const std::vector<std::uint32_t>& members = pieces.cells[p];
       for (const std::uint32_t a : members) compare(all, piece, a, least);
-      for (std::size_t k = 0; k < members.size(); k += few.stride) {
+      for (std::size_t k = 0; k < members.size(); k += few.stride()) {
         compare(few, piece, members[k], least);
       }
       for (const std::uint32_t other : least.touched) {

@@ -20,10 +20,9 @@ namespace field_phenotyping {
 namespace {
 
 constexpr std::size_t kMinPoints = 8U;
-constexpr double kPointEvidence = 1.0;   // [log likelihood] what one point could say for a stem
-constexpr double kMostEvidence = 100.0;  // [log likelihood/m] what a few points of a stem say
-constexpr double kMinSpread = 0.002;     // [m]
-constexpr double kMaxSpread = 0.012;     // [m] beyond it nothing tells a stem from what is round it
+constexpr double kPointEvidence = 1.0;  // [log likelihood] what one point could say for a stem
+constexpr double kMinSpread = 0.002;    // [m]
+constexpr double kMaxSpread = 0.012;    // [m] beyond it nothing tells a stem from what is round it
 
 /// Sizes that go with the plant's: what is a short stretch of a tall stem is all of a seedling's.
 struct Scale {
@@ -267,7 +266,7 @@ class CurveFit {
   static constexpr double kTaper = 0.25;        // share of the radius lost per metre
   static constexpr double kTaperStddev = 0.12;  // of the same
 
-  double mostEvidence() const { return kMostEvidence * scale_.share_band; }
+  double mostEvidence() const { return static_cast<double>(kMostEvidence) * scale_.share_band; }
 
   double rooted(const std::vector<double>& bands, const std::vector<double>& possible) const {
     double sum = 0.0;

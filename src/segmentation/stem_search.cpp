@@ -275,6 +275,16 @@ bool showLittle(const std::vector<GrownStem>& stems, double slab) {
   return counts.empty() || medianOf(std::move(counts)) < kFew;
 }
 
+/// Whether so many stems stand with their feet in sight that what is not seen is not there.
+bool showsFeet(const std::vector<GrownStem>& stand) {
+  constexpr std::size_t kLeastStems = 5U;  // that show how a stand is seen
+  constexpr std::ptrdiff_t kOneIn = 20;    // stems may hide its foot
+  const auto hidden = std::count_if(
+      stand.begin(), stand.end(), [](const GrownStem& stem) { return stem.midline.hidden > 0.0F; });
+  return stand.size() >= kLeastStems &&
+         kOneIn * hidden <= static_cast<std::ptrdiff_t>(stand.size());
+}
+
 }  // namespace
 
 GrownStem growAlong(const GrowthScene& scene, const StemAxis& axis, float hidden,
@@ -291,13 +301,7 @@ std::vector<StemSeeds> withoutFloating(std::vector<StemSeeds> seeds,
                                        const std::vector<GrownStem>& stand,
                                        const GroundModel& ground, const Canopy& canopy,
                                        float plant_height) {
-  constexpr std::ptrdiff_t kOneIn = 20;  // stems may hide its foot
-  const auto hidden = std::count_if(
-      stand.begin(), stand.end(), [](const GrownStem& stem) { return stem.midline.hidden > 0.0F; });
-  constexpr std::size_t kLeastStems = 5U;  // that show how a stand is seen
-  if (stand.size() < kLeastStems || kOneIn * hidden > static_cast<std::ptrdiff_t>(stand.size())) {
-    return seeds;
-  }
+  if (!showsFeet(stand)) return seeds;
   constexpr float kStep = 0.05F;  // [m]
   constexpr float kSeen = 0.9F;   // of the way down
   const auto floats = [&](const StemSeeds& one) {
@@ -313,6 +317,34 @@ std::vector<StemSeeds> withoutFloating(std::vector<StemSeeds> seeds,
     return light >= kSeen * steps;
   };
   seeds.erase(std::remove_if(seeds.begin(), seeds.end(), floats), seeds.end());
+  return seeds;
+}
+
+std::vector<StemSeeds> withoutBeside(std::vector<StemSeeds> seeds,
+                                     const std::vector<GrownStem>& stand, float min_spacing) {
+  if (!showsFeet(stand)) return seeds;
+  constexpr float kSure = 0.5F * kMostEvidence;
+  constexpr float kShort = 0.75F;  // of the stand's usual length
+  std::vector<float> lengths;
+  for (const GrownStem& stem : stand) lengths.push_back(stem.midline.axis.length());
+  const float shortest = kShort * medianOf(std::move(lengths));
+  const auto isBeside = [&](const StemSeeds& one, const GrownStem& stem) {
+    const StemAxis& axis = stem.midline.axis;
+    if (stem.midline.evidence < kSure * axis.length() || axis.length() < shortest ||
+        axis.project(one.points.front()).distance >= min_spacing) {
+      return false;
+    }
+    float sum = 0.0F;
+    for (const Eigen::Vector3f& point : one.points) sum += axis.project(point).distance;
+    return sum < min_spacing * static_cast<float>(one.points.size());
+  };
+  seeds.erase(std::remove_if(seeds.begin(), seeds.end(),
+                             [&](const StemSeeds& one) {
+                               return std::any_of(
+                                   stand.begin(), stand.end(),
+                                   [&](const GrownStem& stem) { return isBeside(one, stem); });
+                             }),
+              seeds.end());
   return seeds;
 }
 
@@ -366,6 +398,11 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
       const std::size_t most = kMissing + known;
       seeds = onStems(findStemSeeds(block, shapes, upright, settings, evidence, stand.lean,
                                     explainedPoints(scene, stems), most));
+      // Seedlings' leaves are so near that the better of two fits counts.
+      if (!isSeedling(plant_height)) {
+        seeds = withoutBeside(std::move(seeds), stems,
+                              static_cast<float>(parameters.min_plant_spacing));
+      }
       std::vector<GrownStem> more =
           growHanging(scene, block, seeds, stand, stems, plant_height, parameters);
       std::vector<GrownStem> free =

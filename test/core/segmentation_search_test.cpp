@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <utility>
 #include <vector>
 
 #include "field_phenotyping/segmentation/stem_search.hpp"
@@ -60,6 +61,37 @@ TEST(StemSearch, FloatingStartPointsStayWhereFeetMayBeHidden) {
   addPole(dark, 0.6F, kHeight, 0.0005F);
   addPole(dark, 0.0F, 0.6F, 0.1F);
   EXPECT_EQ(countLeft(dark, standOf(6U, 0U)), 2U) << "hardly a point from below the canopy";
+}
+
+/// A stand of that much evidence for each metre.
+std::vector<GrownStem> sureStandOf(std::size_t stems, std::size_t with_hidden_foot,
+                                   float evidence) {
+  std::vector<GrownStem> stand = standOf(stems, with_hidden_foot);
+  for (GrownStem& stem : stand) stem.midline.evidence = evidence * kHeight;
+  return stand;
+}
+
+TEST(StemSearch, StartPointsBesideKnownStemsAreTheirLeaves) {
+  constexpr float kSpacing = 0.06F;
+  constexpr float kSure = 0.6F * kMostEvidence;
+  const auto isLeft = [&](std::vector<Eigen::Vector3f> points,
+                          const std::vector<GrownStem>& stand) {
+    StemSeeds seeds;
+    seeds.points = std::move(points);
+    return !withoutBeside({seeds}, stand, kSpacing).empty();
+  };
+  const std::vector<GrownStem> sure = sureStandOf(6U, 0U, kSure);
+  const std::vector<Eigen::Vector3f> beside{{0.4F, 0.03F, 0.2F}, {0.4F, 0.08F, 0.9F}};
+  EXPECT_FALSE(isLeft(beside, sure));
+  EXPECT_TRUE(isLeft({{0.4F, 0.03F, 0.2F}, {0.4F, 0.10F, 0.9F}}, sure)) << "it leads away";
+  EXPECT_TRUE(isLeft({{0.4F, 0.07F, 0.2F}, {0.4F, 0.01F, 0.9F}}, sure)) << "it begins elsewhere";
+  EXPECT_TRUE(isLeft(beside, sureStandOf(6U, 0U, 0.4F * kMostEvidence))) << "hardly known stems";
+  EXPECT_TRUE(isLeft(beside, sureStandOf(6U, 1U, kSure))) << "feet may be hidden";
+  EXPECT_TRUE(isLeft(beside, sureStandOf(4U, 0U, kSure))) << "too few stems";
+  std::vector<GrownStem> with_short = sure;
+  StemAxis& axis = with_short[2].midline.axis;
+  axis = axis.below(0.5F * kHeight);
+  EXPECT_TRUE(isLeft(beside, with_short)) << "a stem shorter than the others";
 }
 
 }  // namespace

@@ -8,11 +8,14 @@
 
 namespace field_phenotyping {
 
+constexpr float kMostEvidence = 100.0F;  ///< [log likelihood/m] what a few points of a stem say
+
 /// A stem's midline with what the points round it look like.
 struct Midline {
   StemAxis axis;
   float spread = 0.0F;    ///< robust standard deviation of the points about the stem surface [m]
-  float evidence = 0.0F;  ///< log likelihood gained by a stem there over leaves and noise alone
+  float evidence = 0.0F;  ///< log likelihood gained by a stem there over leaves and noise alone,
+                          ///< kMostEvidence for each metre at most
   float hidden = 0.0F;    ///< [m] of the axis from its base that is guessed from what is seen above
 };
 

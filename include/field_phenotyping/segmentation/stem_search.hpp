@@ -38,6 +38,15 @@ std::vector<StemSeeds> withoutFloating(std::vector<StemSeeds> seeds,
                                        const GroundModel& ground, const Canopy& canopy,
                                        float plant_height);
 
+/// Leaves out start points beside stems of the stand that are surely known, where the feet of the
+/// stand are seen: the lowest of them nearer than plants stand to one another, and all on average.
+/// A fit from leaves there comes back to the stem; of one much shorter than others of the stand it
+/// may show more.
+/// @param stand       stems that were found
+/// @param min_spacing of the plants [m]
+std::vector<StemSeeds> withoutBeside(std::vector<StemSeeds> seeds,
+                                     const std::vector<GrownStem>& stand, float min_spacing);
+
 /// Those of the candidates that are stems.
 std::vector<GrownStem> onlyStems(const StemSelection& selection, std::vector<GrownStem> grown);
 
