@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/nearest_distances.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/segmentation/crown_points.hpp"
 #include "field_phenotyping/segmentation/foot_points.hpp"
@@ -45,19 +46,11 @@ float canopyHeight(std::vector<float> heights) {
 float longestGap(const std::vector<GrownStem>& stems) {
   constexpr float kMost = 0.40F;
   constexpr float kSpacings = 2.0F;
-  std::vector<float> spacings;
+  std::vector<Eigen::Vector2f> feet;
   for (const GrownStem& stem : stems) {
-    float nearest = kMost;
-    for (const GrownStem& other : stems) {
-      if (&stem == &other) continue;
-      nearest = std::min(nearest, (stem.midline.axis.nodes().front().position -
-                                   other.midline.axis.nodes().front().position)
-                                      .head<2>()
-                                      .norm());
-    }
-    spacings.push_back(nearest);
+    feet.emplace_back(stem.midline.axis.nodes().front().position.head<2>());
   }
-  return spacings.empty() ? kMost : std::min(kMost, kSpacings * medianOf(spacings));
+  return feet.empty() ? kMost : std::min(kMost, kSpacings * medianOf(nearestDistances(feet)));
 }
 
 /// A point that two stems claim goes to the one whose surface it is nearer to.

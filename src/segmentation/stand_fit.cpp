@@ -180,21 +180,46 @@ void refineMidlines(const GrowthScene& scene, float max_radius, float plant_heig
 }
 
 /// Fits the midlines of seedlings anew, now that it is known where they end: the leaves above are
-/// many, and bend the axes their way. Two that come to one stem are one.
+/// many, and bend the axes their way. Two that come to one stem are one; one that comes to no stem
+/// stays as it was, for that was like a stem.
 std::vector<GrownStem> refitSeedlings(const GrowthScene& scene, const StemSelection& selection,
                                       float plant_height, std::vector<GrownStem> stems,
                                       const SegmentationParameters& parameters) {
   if (!isSeedling(plant_height)) return stems;
   const auto max_radius = static_cast<float>(parameters.max_stem_radius);
+  std::vector<GrownStem> refitted(stems.size());
   parallelFor(stems.size(), [&](std::size_t s) {
-    const StemAxis prior = stems[s].midline.axis;
-    stems[s] = growCandidate(
+    const StemAxis& prior = stems[s].midline.axis;
+    refitted[s] = growCandidate(
         scene,
         fitMidline(scene.points, pointsAround(scene, prior, kStemSurroundings * max_radius), prior,
                    max_radius, plant_height),
         parameters);
   });
-  return onlyStems(selection, std::move(stems));
+  const auto footOf = [](const GrownStem& stem) -> Eigen::Vector2f {
+    return stem.midline.axis.nodes().front().position.head<2>();
+  };
+  const StandLean lean = leanOf(axesOf(stems));
+  const auto leaning = [&](const GrownStem& stem) {
+    return (slopeOf(stem.midline.axis) - lean.slope).norm();
+  };
+  constexpr float kAstray = 0.03F;   // [m] along a leaf
+  constexpr float kLeaning = 0.36F;  // slope to the usual axis
+  std::vector<Eigen::Vector2f> feet;
+  for (std::size_t s = 0; s < stems.size(); ++s) {
+    const bool astray = (footOf(refitted[s]) - footOf(stems[s])).norm() > kAstray &&
+                        leaning(refitted[s]) > std::max(leaning(stems[s]), kLeaning);
+    if (astray) refitted[s] = stems[s];
+    feet.push_back(footOf(refitted[s]));
+  }
+  std::vector<GrownStem> kept = onlyStems(selection, std::move(refitted));
+  for (std::size_t s = 0; s < stems.size(); ++s) {
+    const bool is_kept = std::any_of(kept.begin(), kept.end(), [&](const GrownStem& stem) {
+      return (footOf(stem) - feet[s]).norm() < static_cast<float>(parameters.min_plant_spacing);
+    });
+    if (!is_kept) kept.push_back(std::move(stems[s]));
+  }
+  return kept;
 }
 
 /// Draws the slopes of seedlings' axes towards what the stand's lean makes likely. Few points show
@@ -213,7 +238,7 @@ void steadySeedlings(float plant_height, std::vector<GrownStem>& stems) {
     const float scatter =
         std::max(lean.scatter * lean.scatter - error * error, kLeastScatter * kLeastScatter);
     const float share = error * error / (scatter + error * error);
-    const Eigen::Vector2f change = share * (lean.slope - chord.head<2>() / chord.z());
+    const Eigen::Vector2f change = share * (lean.slope - slopeOf(axis));
     const float foot = axis.nodes().front().position.z() + kFoot * chord.z();
     std::vector<StemAxis::Node> nodes = axis.nodes();
     for (StemAxis::Node& node : nodes) {

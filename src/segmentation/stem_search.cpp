@@ -206,11 +206,7 @@ std::vector<GrownStem> growHanging(const GrowthScene& scene, const Block& block,
         block, scene.grid,
         midlineAlong(scene, StemAxis(std::move(nodes)), plant_height, parameters), stand);
     if (!settled) return;
-    Midline midline = midlineAlong(scene, settled->axis, plant_height, parameters);
-    midline.hidden = settled->hidden;
-    midline.axis = midline.axis.below(findStemTop(
-        scene.points, pointsAround(scene, midline.axis, kStemSurroundings * max_radius), midline));
-    grown[k] = growCandidate(scene, std::move(midline), parameters);
+    grown[k] = growAlong(scene, settled->axis, settled->hidden, plant_height, parameters);
   });
   return withPoints(std::move(grown));
 }
@@ -280,6 +276,16 @@ bool showLittle(const std::vector<GrownStem>& stems, double slab) {
 }
 
 }  // namespace
+
+GrownStem growAlong(const GrowthScene& scene, const StemAxis& axis, float hidden,
+                    float plant_height, const SegmentationParameters& parameters) {
+  const float reach = kStemSurroundings * static_cast<float>(parameters.max_stem_radius);
+  Midline midline = midlineAlong(scene, axis, plant_height, parameters);
+  midline.hidden = hidden;
+  midline.axis = midline.axis.below(
+      findStemTop(scene.points, pointsAround(scene, midline.axis, reach), midline));
+  return growCandidate(scene, std::move(midline), parameters);
+}
 
 std::vector<StemSeeds> withoutFloating(std::vector<StemSeeds> seeds,
                                        const std::vector<GrownStem>& stand,

@@ -2,12 +2,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numeric>
 #include <optional>
 #include <utility>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/nearest_distances.hpp"
 #include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/row_model.hpp"
@@ -130,18 +130,9 @@ std::vector<std::size_t> withoutCrowding(const std::vector<StemCandidate>& candi
                                          const std::vector<float>& merits) {
   constexpr std::size_t kLeastStems = 4U;
   if (stems.size() < kLeastStems) return stems;
-  const auto apart = [&](std::size_t a, std::size_t b) {
-    return (bases[a] - bases[b]).head<2>().norm();
-  };
-  std::vector<float> spacings;
-  for (const std::size_t a : stems) {
-    float nearest = std::numeric_limits<float>::max();
-    for (const std::size_t b : stems) {
-      if (a != b) nearest = std::min(nearest, apart(a, b));
-    }
-    spacings.push_back(nearest);
-  }
-  const float typical = medianOf(std::move(spacings));
+  std::vector<Eigen::Vector2f> places;
+  for (const std::size_t s : stems) places.emplace_back(bases[s].head<2>());
+  const float typical = medianOf(nearestDistances(places));
   constexpr float kCrowded = 0.5F;  // of the median spacing
   constexpr float kAsGood = 0.6F;   // as the better one
   std::vector<std::size_t> kept;
@@ -154,11 +145,6 @@ std::vector<std::size_t> withoutCrowding(const std::vector<StemCandidate>& candi
     if (!crowds) kept.push_back(c);
   }
   return kept;
-}
-
-Eigen::Vector2f slopeOf(const StemAxis& axis) {
-  const Eigen::Vector3f chord = axis.nodes().back().position - axis.nodes().front().position;
-  return chord.head<2>() / chord.z();
 }
 
 /// Stems of one stand lean about as little as one another; steps from the foot of one to the top of
@@ -215,14 +201,6 @@ std::vector<std::size_t> distinctStems(const std::vector<StemCandidate>& candida
   return kept;
 }
 
-/// Factor on the merit that the odds of a place are worth: merit is no probability, and a place
-/// alone makes no stem.
-float priorOf(double odds) {
-  constexpr double kPower = 0.25;
-  constexpr double kMost = 2.0;
-  return static_cast<float>(std::clamp(std::pow(odds, kPower), 1.0 / kMost, kMost));
-}
-
 }  // namespace
 
 Canopy::Canopy(const Block& block) : ground_(block.ground) {
@@ -267,6 +245,24 @@ float Canopy::lightAround(const Eigen::Vector3f& point) const {
   constexpr float kLit = 0.03F;  // of the fullest layer: bare stems give no more
   const auto most = static_cast<float>(*std::max_element(counts.begin(), counts.end()));
   return std::min(static_cast<float>(counts[layer]) / (kLit * most), 1.0F);
+}
+
+float meritOfOdds(double odds) {
+  constexpr double kPower = 0.25;
+  constexpr double kMost = 2.0;
+  return static_cast<float>(std::clamp(std::pow(odds, kPower), 1.0 / kMost, kMost));
+}
+
+float usualOf(const std::vector<float>& merits) {
+  constexpr float kGood = 0.3F;  // of the best
+  const auto good = std::partition_point(
+      merits.begin(), merits.end(), [&](float merit) { return merit >= kGood * merits.front(); });
+  return merits[static_cast<std::size_t>(good - merits.begin() - 1) / 2U];  // the better of two
+}
+
+Eigen::Vector2f slopeOf(const StemAxis& axis) {
+  const Eigen::Vector3f chord = axis.nodes().back().position - axis.nodes().front().position;
+  return chord.head<2>() / chord.z();
 }
 
 StandLean leanOf(const std::vector<StemAxis>& stems) {
@@ -322,12 +318,9 @@ std::vector<std::size_t> StemSelection::stemsAmong(
   if (distinct.empty()) return {};
 
   // Measured against what good ones have.
-  std::vector<float> good;
-  for (const std::size_t c : distinct) {
-    constexpr float kGood = 0.3F;
-    if (merits[c] >= kGood * merits[distinct.front()]) good.push_back(merits[c]);
-  }
-  const float usual = good[(good.size() - 1U) / 2U];  // best first: the better one of two
+  std::vector<float> of_distinct;
+  for (const std::size_t c : distinct) of_distinct.push_back(merits[c]);
+  const float usual = usualOf(of_distinct);
   constexpr float kLeastShare = 0.25F;
   std::vector<std::size_t> stems;
   for (const std::size_t c : distinct) {
@@ -349,8 +342,8 @@ std::vector<std::size_t> StemSelection::stemsAmong(
   if (rows) {
     std::vector<float> likely = merits;
     for (std::size_t c = 0; c < candidates.size(); ++c) {
-      likely[c] *=
-          priorOf(rows->rowOdds(bases[c].head<2>().cast<double>())) * leanFit(candidates[c], lean);
+      likely[c] *= meritOfOdds(rows->rowOdds(bases[c].head<2>().cast<double>())) *
+                   leanFit(candidates[c], lean);
     }
     stems = distinctStems(
         candidates, bases, likely, block_.cloud.size(), least_distance,
@@ -358,7 +351,7 @@ std::vector<std::size_t> StemSelection::stemsAmong(
           std::vector<Eigen::Vector2d> others;
           for (const std::size_t k : kept) others.push_back(bases[k].head<2>().cast<double>());
           const double odds = rows->spacingOdds(bases[c].head<2>().cast<double>(), others);
-          return likely[c] * priorOf(odds) >= std::max(kLeastMerit, kLeastShare * usual);
+          return likely[c] * meritOfOdds(odds) >= std::max(kLeastMerit, kLeastShare * usual);
         });
     stems = withoutCrowding(candidates, stems, bases, likely);
   }

@@ -24,7 +24,10 @@ using testing::Scene;
 /// Seedlings 18 cm tall: 8 cm of stem, above it two pairs of leaves that open slowly.
 class Seedlings {
  public:
-  explicit Seedlings(unsigned seed) : scene(levelSoil(), seed, 0.002), random_(seed) {}
+  explicit Seedlings(unsigned seed, int stem_points_per_metre = 300)
+      : scene(levelSoil(), seed, 0.002),
+        stem_points_per_metre_(stem_points_per_metre),
+        random_(seed) {}
 
   void add(double x, double y) {
     PlantTruth plant;
@@ -32,7 +35,7 @@ class Seedlings {
     plant.stem_length = kStem;
     plant.radius = 0.003;
     plant.leaves = 0;
-    plant.stem_points_per_metre = 300;
+    plant.stem_points_per_metre = stem_points_per_metre_;
     const auto index = static_cast<int>(scene.plants.size());
     scene.addPlant(plant);
     const double azimuth = M_PI * unit_(random_);
@@ -65,6 +68,7 @@ class Seedlings {
     }
   }
 
+  int stem_points_per_metre_;
   std::mt19937 random_;
   std::uniform_real_distribution<double> unit_{0.0, 1.0};
 };
@@ -134,6 +138,24 @@ TEST(LowStand, WeedsBetweenTheRowsAreNoPlants) {
     }
   };
   expectFoundInRows(0.6, addWeeds, 90U);
+}
+
+// Seen so sparsely that hardly a point is on a stem: the leaves show where it must be.
+TEST(LowStand, LeavesShowStemsThatAreNotSeen) {
+  Found found;
+  std::size_t plants = 0U;
+  for (unsigned seed = 1U; seed <= 4U; ++seed) {
+    constexpr int kStemPoints = 25;  // a metre: two of a plant
+    Seedlings field(seed, kStemPoints);
+    for (const double y : {-0.5, 0.0, 0.5}) field.addRow(y);
+    plants += field.scene.plants.size();
+    const Found here = find(field.scene);
+    found.right += here.right;
+    found.wrong += here.wrong;
+  }
+  std::printf("%zu of %zu, %zu wrong\n", found.right, plants, found.wrong);
+  EXPECT_GE(100U * found.right, 95U * plants);
+  EXPECT_GE(100U * found.right, 95U * (found.right + found.wrong));
 }
 
 // As low as weeds, and in no rows: nothing tells them from weeds.

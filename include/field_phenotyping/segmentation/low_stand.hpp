@@ -14,10 +14,11 @@ namespace field_phenotyping {
 /// @param plant_height about how high the plants are [m]
 SegmentationParameters adaptToHeight(float plant_height, SegmentationParameters parameters);
 
-/// As findStems(), in stands of any height. Short pieces of stem do not tell a plant from a weed as
-/// high; many do: plants stand upright and in rows, and in stands so low only those in the rows
-/// count. Where many show no rows all are weeds; of a few those count that show as much of
-/// themselves as tall plants must.
+/// As findStems(), in stands of any height. Seedlings stand where their leaves come together
+/// (findLeafConvergences()), whether a stem was found there or not; they come with the most leaves
+/// first. Short pieces of stem do not tell a plant from a weed as high; many do: plants stand
+/// upright and in rows, and in stands so low only those in the rows count. Where many show no rows
+/// all are weeds; of a few those count that show as much of themselves as tall plants must.
 /// Thread-safe; deterministic.
 std::vector<GrownStem> findStandingStems(const GrowthScene& scene, const Block& block,
                                          const StemSelection& selection, float plant_height,

@@ -23,6 +23,12 @@ std::vector<GrownStem> findStems(const GrowthScene& scene, const Block& block,
                                  const StemSelection& selection, float plant_height,
                                  const SegmentationParameters& parameters);
 
+/// What grows along an axis that is about known, and ends somewhere along it; nothing may grow
+/// where a stem shows no points. Thread-safe; deterministic.
+/// @param hidden of the axis from its base, as in Midline [m]
+GrownStem growAlong(const GrowthScene& scene, const StemAxis& axis, float hidden,
+                    float plant_height, const SegmentationParameters& parameters);
+
 /// Leaves out start points high up, where some stems of the stand were found and their feet are
 /// seen, and where the canopy lets what is below be seen: a stem would show there.
 /// @param stand        stems that were found

@@ -43,6 +43,17 @@ struct StemCandidate {
       points;  ///< that grew, ascending indices into the block's cloud
 };
 
+/// Factor on the merit of a stem that the odds of its place (RowModel) are worth: merit is no
+/// probability, and a place alone makes no stem.
+float meritOfOdds(double odds);
+
+/// What good ones of a stand usually have: of those with at least 0.3 of the best the middle one.
+/// @param merits of one at least, the best first
+float usualOf(const std::vector<float>& merits);
+
+/// Horizontal shift per metre of height between the ends of a stem.
+Eigen::Vector2f slopeOf(const StemAxis& axis);
+
 /// How the stems lean that axes describe; not known from a few.
 StandLean leanOf(const std::vector<StemAxis>& stems);
 
