@@ -144,13 +144,14 @@ struct OverloadLimits {
 ///
 /// Drafts, and blocks of which nothing has been worked in their pass, go first, for they give
 /// plants their first values, then final ones, then updates, each in the order in which they came.
-/// Once one has waited for too long each the newest first; where too many points wait the last in
-/// that order are dropped. That ends by itself when less comes. What was last seen before a
-/// neighbouring block was first seen goes before that one: what an earlier pass has found there
-/// must be known by then.
+/// Once one that gives first values has waited for too long the newest of those goes first; where
+/// too many points wait for too long the last of that order are dropped, of each kind the oldest.
+/// After an update others are put off for some time, in which only first and last values are
+/// worked. That ends by itself when less comes. What was last seen before a neighbouring block was
+/// first seen goes before that one: what an earlier pass has found there must be known by then.
 ///
 /// A draft need not wait for a large block that is at work already where a second thread takes
-/// drafts beside it. Thread-safe.
+/// drafts beside it; the first then takes final blocks before drafts. Thread-safe.
 template <class T>
 class BlockWorker {
  public:
@@ -238,14 +239,21 @@ class BlockWorker {
     return waiting_.size();
   }
 
-  /// Whether a block has been waiting for too long.
+  /// Whether a block has been waiting for too long. Updates may wait: final blocks replace them.
   bool overloaded() const {
     const std::lock_guard<std::mutex> lock(mutex_);
-    return isOverloaded();
+    return waitsTooLong(Rank::kLastValues);
   }
 
  private:
   enum class Takes { kAll, kDrafts };
+
+  /// Times as long as an update took nothing but first and last values is worked, that these find
+  /// time: the final block will say better what an update would have said.
+  static constexpr double kUpdatePause = 3.0;
+
+  /// What a block is worked for; the first goes first.
+  enum class Rank { kFirstValues, kLastValues, kUpdate };
 
   /// @return whether it takes the place of others
   bool enqueue(const Pointer& block) {
@@ -259,42 +267,61 @@ class BlockWorker {
       waiting_.push_back({block, ros::WallTime::now()});
       return false;
     }
-    waiting_.erase(std::remove_if(std::next(first), waiting_.end(), outdated), waiting_.end());
-    first->block = block;
+    // Last values are waited for since the block is final, not since an update was due.
+    const bool keeps_place = !headerOf(*block).final || headerOf(*first->block).final;
+    if (keeps_place) first->block = block;
+    waiting_.erase(std::remove_if(keeps_place ? std::next(first) : first, waiting_.end(), outdated),
+                   waiting_.end());
+    if (!keeps_place) waiting_.push_back({block, ros::WallTime::now()});
     return true;
   }
 
-  bool isOverloaded() const {
-    // The first is the one that has waited longest.
-    if (waiting_.empty() || !opened_) return false;
-    return ros::WallTime::now() - std::max(waiting_.front().arrival, *opened_) > limits_.after;
+  /// Whether one of that rank or before it does.
+  bool waitsTooLong(Rank last) const {
+    return std::any_of(waiting_.begin(), waiting_.end(), [&](const Task& task) {
+      return waitsTooLong(task) && rankOf(task) <= last;
+    });
   }
 
-  /// The lowest go first.
-  int rankOf(const Task& task) const {
+  bool waitsTooLong(const Task& task) const {
+    return opened_ && ros::WallTime::now() - std::max(task.arrival, *opened_) > limits_.after;
+  }
+
+  Rank rankOf(const Task& task) const {
     const BlockHeader& header = headerOf(*task.block);
     const std::vector<BlockHeader> tiles = tilesOf(*task.block);
     const bool unknown = std::any_of(tiles.begin(), tiles.end(), [this](const BlockHeader& tile) {
       const auto worked = worked_.find(tile.index);
       return worked == worked_.end() || worked->second != tile.began_ns;
     });
-    if (header.draft || unknown) return 0;
-    return header.final ? 1 : 2;
+    if (header.draft || unknown) return Rank::kFirstValues;
+    return header.final ? Rank::kLastValues : Rank::kUpdate;
   }
 
-  /// Whether `a` is to be worked before `b` when not all can be.
-  bool isWorthMore(const Task& a, const Task& b) const {
-    const int rank_a = rankOf(a);
-    const int rank_b = rankOf(b);
-    if (rank_a != rank_b) return rank_a < rank_b;
+  static bool isNewer(const Task& a, const Task& b) {
     return headerOf(*a.block).stamp_ns > headerOf(*b.block).stamp_ns;
+  }
+
+  /// Whether `a` is worked before `b`, which came before it.
+  bool goesFirst(const Task& a, const Task& b, bool newest_first) const {
+    const bool final_a = headerOf(*a.block).final;
+    const bool final_b = headerOf(*b.block).final;
+    if (drafts_ == Drafts::kBeside && final_a != final_b) return final_a;
+    const Rank rank_a = rankOf(a);
+    const Rank rank_b = rankOf(b);
+    if (rank_a != rank_b) return rank_a < rank_b;
+    // Newer ones have nothing to say of a final block's plants.
+    const bool replaceable = rank_a == Rank::kFirstValues && !(final_a && final_b);
+    return newest_first && replaceable && isNewer(a, b);
   }
 
   /// @return how many of those that wait were dropped; one stays, however large
   std::size_t dropExcess() {
     std::size_t dropped = 0U;
-    if (!isOverloaded()) return dropped;
-    const auto worth_more = [this](const Task& a, const Task& b) { return isWorthMore(a, b); };
+    if (!waitsTooLong(Rank::kUpdate)) return dropped;
+    const auto worth_more = [this](const Task& a, const Task& b) {
+      return rankOf(a) != rankOf(b) ? rankOf(a) < rankOf(b) : isNewer(a, b);
+    };
     std::size_t points = 0U;
     for (const Task& task : waiting_) points += pointsOf(*task.block);
     for (; points > limits_.most_points && waiting_.size() > 1U; ++dropped) {
@@ -321,18 +348,19 @@ class BlockWorker {
   }
 
   /// Nothing where none may be worked yet.
-  std::optional<Task> takeNext(Takes takes) {
-    const bool overloaded = isOverloaded();
+  std::optional<Task> takeNext(Takes takes, bool& is_update) {
+    const bool newest_first = waitsTooLong(Rank::kFirstValues);
+    const bool may_update = ros::WallTime::now() >= next_update_;
     auto next = waiting_.end();
     for (auto task = waiting_.begin(); task != waiting_.end(); ++task) {
       if (takes == Takes::kDrafts && !headerOf(*task->block).draft) continue;
-      const bool goes_first =
-          next == waiting_.end() ||
-          (overloaded ? isWorthMore(*task, *next) : rankOf(*task) < rankOf(*next));
-      if (goes_first && !hasEarlierPass(*task->block)) next = task;
+      if (!may_update && rankOf(*task) == Rank::kUpdate) continue;
+      const bool first = next == waiting_.end() || goesFirst(*task, *next, newest_first);
+      if (first && !hasEarlierPass(*task->block)) next = task;
     }
     if (next == waiting_.end()) return std::nullopt;
     const Task task = *next;
+    is_update = rankOf(task) == Rank::kUpdate;
     waiting_.erase(next);
     const BlockHeader& header = headerOf(*task.block);
     if (header.final) {
@@ -348,7 +376,9 @@ class BlockWorker {
     while (running_) {
       const bool ready = calls_.ready();
       if (ready && !opened_) opened_ = ros::WallTime::now();
-      const std::optional<Task> task = ready ? takeNext(takes) : std::nullopt;
+      bool is_update = false;
+      const std::optional<Task> task = ready ? takeNext(takes, is_update) : std::nullopt;
+      const ros::WallTime begin = ros::WallTime::now();
       if (!task) {
         changed_.wait_for(lock, std::chrono::milliseconds(100));
       } else {
@@ -357,6 +387,10 @@ class BlockWorker {
         calls_.work(*task);
         lock.lock();
         at_work_.erase(at_work);
+        if (is_update) {
+          const ros::WallTime end = ros::WallTime::now();
+          next_update_ = end + (end - begin) * kUpdatePause;
+        }
         ++worked_count_;
         changed_.notify_all();
       }
@@ -377,6 +411,7 @@ class BlockWorker {
   std::map<BlockIndex, std::uint64_t> worked_;  // when the pass began that open blocks were in [ns]
   BlockHistory<T> history_;
   std::optional<ros::WallTime> opened_;  // since when work is done
+  ros::WallTime next_update_;            // none is worked before
   std::uint64_t worked_count_ = 0U;      // blocks
   bool running_ = true;
   std::thread thread_;  // last: run on all of the above

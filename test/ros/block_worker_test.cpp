@@ -203,6 +203,18 @@ TEST(BlockWorker, ADraftNeedNotWaitForTheBlockAtWork) {
   EXPECT_EQ(worker.finishAll(), (std::vector<int>{0, 1, 2})) << "of the next pass: it has to wait";
 }
 
+TEST(BlockWorker, WhereDraftsHaveAThreadTheOtherTakesFinalBlocksFirst) {
+  SlowWorker worker(kNever, BlockWorker<Block>::Drafts::kBeside);
+  worker.pushDraft(0, 1U);
+  EXPECT_TRUE(worker.hasBegun(0));
+  worker.push(2, 2U, false);
+  worker.pushDraft(1, 3U);
+  worker.push(50, 4U, true);
+  worker.finishOne();
+  EXPECT_TRUE(worker.hasBegun(50));
+  EXPECT_FALSE(worker.hasBegun(1));
+}
+
 TEST(BlockWorker, NorForAnEarlierPassElsewhere) {
   SlowWorker worker(kNever, BlockWorker<Block>::Drafts::kBeside);
   worker.push(1, 1U, false);
@@ -242,6 +254,51 @@ TEST(BlockWorker, UnderOverloadBlocksThatNothingIsKnownOfGoFirst) {
   EXPECT_EQ(worker.finishAll(), (std::vector<int>{0, 100}));
 }
 
+TEST(BlockWorker, UnderOverloadLastValuesComeInTheOrderInWhichBlocksWereLeft) {
+  SlowWorker worker(kAtOnce);
+  for (int x = 1; x <= 3; ++x) {
+    worker.push(x, 1U, false);
+    worker.finishOne();
+  }
+  for (int x = 1; x <= 3; ++x) worker.push(x, 1U + static_cast<std::uint64_t>(x), true);
+  EXPECT_TRUE(worker.overloaded());
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{1, 2, 3, 1, 2, 3}));
+}
+
+TEST(BlockWorker, AFinalBlockDoesNotTakeThePlaceOfAnUpdateThatItReplaces) {
+  SlowWorker worker(kNever);
+  for (int x = 1; x <= 2; ++x) {
+    worker.push(x, 1U, false);
+    worker.finishOne();
+  }
+  worker.push(2, 2U, false);
+  worker.push(1, 3U, true);
+  EXPECT_TRUE(worker.push(2, 4U, true).replaced);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{1, 2, 1, 2}));
+}
+
+TEST(BlockWorker, UpdatesLeaveTimeForOtherBlocks) {
+  constexpr std::chrono::milliseconds kTakes(200);
+  SlowWorker worker(kNever);
+  worker.push(101, 1U, false);
+  worker.finishOne();
+  worker.push(100, 2U, false);
+  worker.push(101, 3U, false);
+  worker.finishOne();  // now the update of 100 is at work
+  std::this_thread::sleep_for(kTakes);
+  const auto begin = std::chrono::steady_clock::now();
+  worker.finishOne();  // until that of 101 is
+  EXPECT_GE(std::chrono::steady_clock::now() - begin, 2 * kTakes);
+}
+
+TEST(BlockWorker, UpdatesThatWaitAreNoOverload) {
+  SlowWorker worker(kAtOnce);
+  worker.push(100, 2U, false);
+  EXPECT_FALSE(worker.overloaded());
+  worker.push(0, 3U, false);
+  EXPECT_TRUE(worker.overloaded()) << "nothing is known of it";
+}
+
 TEST(BlockWorker, DropsTheOldestBeyondItsLimitAndKeepsWithinIt) {
   SlowWorker worker(kAtOnce);
   std::size_t dropped = 0U;
@@ -250,7 +307,7 @@ TEST(BlockWorker, DropsTheOldestBeyondItsLimitAndKeepsWithinIt) {
     EXPECT_LE(worker.waiting(), 3U);
   }
   EXPECT_EQ(dropped, 47U);
-  EXPECT_EQ(worker.finishAll(), (std::vector<int>{49, 48, 47}));
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{47, 48, 49}));
 }
 
 TEST(BlockWorker, UpdatesAreDroppedBeforeBlocksThatNothingIsKnownOf) {
