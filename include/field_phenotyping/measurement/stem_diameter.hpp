@@ -38,8 +38,8 @@ CrossSectionPrior weakPrior(const MeasurementParameters& parameters);
 
 /// Measures the stem at `diameter_height` above the soil, on short stems at `diameter_height_share`
 /// of the stem's length (paper 2.8), from the points of `diameter_span` round it: the flared foot
-/// of the stem and its upper end are left out. Where few points are there, the span is longer, by up
-/// to `max_shift` at either end; where too few, those of the best populated height within
+/// of the stem and its upper end are left out. Where few points are there, the span is longer, by
+/// up to `max_shift` at either end; where too few, those of the best populated height within
 /// `max_shift` are fitted, and the result is carried to the height asked for with the stem's taper
 /// (kHeightShifted). In mode "paper" Eq 27 is solved as printed, on the points within half of
 /// `diameter_span` of the height, their z dropped. Thread-safe; deterministic.
