@@ -78,7 +78,8 @@ class Thinning {
  private:
   /// Mean distance of the k-th outermost point, but for a factor.
   double toPoint(int k) const {
-    return std::exp(std::lgamma(k + 1.0 / power_) - std::lgamma(static_cast<double>(k)));
+    // Not by lgamma(), which writes a global.
+    return std::tgamma(k + 1.0 / power_) / std::tgamma(static_cast<double>(k));
   }
 
   double power_;
