@@ -1,6 +1,7 @@
 #include "field_phenotyping/segmentation/low_stand.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <optional>
 #include <utility>
 
@@ -98,9 +99,23 @@ bool passes(const StemAxis& axis, const Eigen::Vector3f& place) {
   return (axis.pointAtHeight(place.z()) - place).head<2>().norm() < kApart;
 }
 
+/// Whether a stem shows as little as none would where the stand's stems are seen well: many were
+/// found by their own points, and have several times as many.
+bool showsTooLittle(const GrownStem& stem, const std::vector<GrownStem>& known,
+                    std::size_t places) {
+  constexpr float kShare = 0.4F;
+  constexpr float kWell = 40.0F;      // points
+  constexpr std::size_t kOneIn = 4U;  // places shows a stem
+  if (kOneIn * known.size() < places) return false;
+  std::vector<float> counts;
+  for (const GrownStem& other : known) counts.push_back(static_cast<float>(other.points.size()));
+  const float usual = medianOf(std::move(counts));
+  return usual >= kWell && static_cast<float>(stem.points.size()) < kShare * usual;
+}
+
 /// The stems of seedlings stand where their leaves come together: of those found the ones that do,
-/// and one more where none does. As found where too few leaves come together to show what a plant
-/// of the stand looks like.
+/// and one more where none does, unless it would be seen. As found where too few leaves come
+/// together to show what a plant of the stand looks like.
 std::vector<GrownStem> onlyWhereLeavesConverge(const GrowthScene& scene, const Block& block,
                                                float plant_height, std::vector<GrownStem> found,
                                                const SegmentationParameters& parameters) {
@@ -113,6 +128,7 @@ std::vector<GrownStem> onlyWhereLeavesConverge(const GrowthScene& scene, const B
   constexpr float kLow = 0.2F;   // of the plants' height: about where leaves begin
   constexpr float kHigh = 0.5F;  // above any stem
   std::vector<GrownStem> stems;
+  std::vector<GrownStem> more;
   for (const LeafConvergence& place : places) {
     const Eigen::Vector3f foot(place.place.x(), place.place.y(),
                                block.ground.heightAt(place.place.x(), place.place.y()));
@@ -127,9 +143,14 @@ std::vector<GrownStem> onlyWhereLeavesConverge(const GrowthScene& scene, const B
     }
     const float radius = 0.5F * static_cast<float>(parameters.max_stem_radius);
     const Eigen::Vector3f top = foot + kHigh * plant_height * Eigen::Vector3f::UnitZ();
-    stems.push_back(growAlong(scene, StemAxis({{foot, radius}, {top, radius}}), 0.0F, plant_height,
-                              parameters));
+    more.push_back(growAlong(scene, StemAxis({{foot, radius}, {top, radius}}), 0.0F, plant_height,
+                             parameters));
   }
+  more.erase(std::remove_if(
+                 more.begin(), more.end(),
+                 [&](const GrownStem& stem) { return showsTooLittle(stem, stems, places.size()); }),
+             more.end());
+  std::move(more.begin(), more.end(), std::back_inserter(stems));
   return stems;
 }
 

@@ -38,9 +38,14 @@ class Seedlings {
     plant.stem_points_per_metre = stem_points_per_metre_;
     const auto index = static_cast<int>(scene.plants.size());
     scene.addPlant(plant);
+    addLeaves(index, plant.base);
+  }
+
+  /// What looks like a plant's leaves, but stands on no stem. @param plant whose; -1: nobody's
+  void addLeaves(int plant, const Eigen::Vector2d& base) {
     const double azimuth = M_PI * unit_(random_);
     for (const double slope : {0.25, 0.8}) {
-      for (const double side : {-1.0, 1.0}) addLeaf(index, plant.base, azimuth, side * slope);
+      for (const double side : {-1.0, 1.0}) addLeaf(plant, base, azimuth, side * slope);
     }
   }
 
@@ -148,6 +153,30 @@ TEST(LowStand, LeavesShowStemsThatAreNotSeen) {
     constexpr int kStemPoints = 25;  // a metre: two of a plant
     Seedlings field(seed, kStemPoints);
     for (const double y : {-0.5, 0.0, 0.5}) field.addRow(y);
+    plants += field.scene.plants.size();
+    const Found here = find(field.scene);
+    found.right += here.right;
+    found.wrong += here.wrong;
+  }
+  std::printf("%zu of %zu, %zu wrong\n", found.right, plants, found.wrong);
+  EXPECT_GE(100U * found.right, 95U * plants);
+  EXPECT_GE(100U * found.right, 95U * (found.right + found.wrong));
+}
+
+// Leaves of neighbours cross between plants, as if they came from a stem there. Stems that are seen
+// would show it.
+TEST(LowStand, LeavesShowNoStemsWhereTheOthersAreSeen) {
+  Found found;
+  std::size_t plants = 0U;
+  for (unsigned seed = 1U; seed <= 4U; ++seed) {
+    constexpr int kStemPoints = 1000;  // a metre: 80 of a plant
+    Seedlings field(seed, kStemPoints);
+    for (const double y : {-0.5, 0.0, 0.5}) {
+      field.addRow(y);
+      for (double x = -0.8; x < 0.81; x += 0.4) {
+        for (int plant = 0; plant < 4; ++plant) field.addLeaves(-1, {x, y});
+      }
+    }
     plants += field.scene.plants.size();
     const Found here = find(field.scene);
     found.right += here.right;
