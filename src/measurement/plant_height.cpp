@@ -145,6 +145,8 @@ class Overhang {
     const double between = std::max(0.0, squares / count - mean_ * mean_ - by_chance);
     own_weight_ = between > 0.0 ? between / (between + by_chance) : 0.0;
 
+    if (!(mean_ > 0.0)) return;
+
     // So many plants are taken as seen whose points do not thin out. Where the noise is thicker
     // than the spacings are, it is what spreads them; where they are longer than a tip, what is
     // hidden.

@@ -16,6 +16,7 @@
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/normal_distribution.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/common/robust_spread.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/preprocessing/soil_plane_team.hpp"
 #include "preprocessing/soil_plane_gpu.hpp"
@@ -252,6 +253,20 @@ GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_pl
   return node;
 }
 
+/// Calls visit(node) for those, four at most, within one spacing of a place along x and along y.
+/// @param at the place, in spacings from the corner
+template <class Visit>
+void forEachNodeAround(const Eigen::Vector2f& at, int columns, int rows, Visit&& visit) {
+  const int i = static_cast<int>(at.x());
+  const int j = static_cast<int>(at.y());
+  for (int y = j; y <= std::min(j + 1, rows - 1); ++y) {
+    for (int x = i; x <= std::min(i + 1, columns - 1); ++x) {
+      visit(static_cast<std::size_t>(y) * static_cast<std::size_t>(columns) +
+            static_cast<std::size_t>(x));
+    }
+  }
+}
+
 /// Nodes without soil of their own take the mean offset (from the block's plane) of seen
 /// neighbours, ring by ring, and a standard deviation that grows with the distance.
 void fillUnseenNodes(std::vector<GroundModel::Node>& nodes, int columns, int rows) {
@@ -290,29 +305,22 @@ void fillUnseenNodes(std::vector<GroundModel::Node>& nodes, int columns, int row
 
 /// What soil points round a node say of how far the model is off there.
 struct Offset {
-  float value = 0.0F;      ///< their median height above the model [m]
-  float spread = 0.0F;     ///< their standard deviation [m]
+  RobustSpread heights{};  ///< of the points above the model [m]; the middle is the offset
   std::size_t points = 0;  ///< 0: too few to tell
 
-  /// Of `value`, where soil usually scatters by `usual`. What scatters more has weeds and low
+  /// Of the offset, where soil usually scatters by `usual`. What scatters more has weeds and low
   /// leaves in it, and is off by about as much.
   float variance(float usual) const {
     constexpr float kOfMedian = 1.57F;  // times as uncertain as a mean
-    const float growth = std::max(spread * spread - usual * usual, 0.0F);
+    const float growth = std::max(heights.stddev * heights.stddev - usual * usual, 0.0F);
     return kOfMedian * usual * usual / static_cast<float>(points) + growth;
   }
 };
 
-Offset offsetOf(std::vector<float> heights) {
+Offset offsetOf(const std::vector<float>& heights) {
   constexpr std::size_t kLeast = 4U;
   if (heights.size() < kLeast) return {};
-  Offset offset;
-  offset.points = heights.size();
-  offset.value = medianOf(heights);
-  for (float& height : heights) height = std::abs(height - offset.value);
-  offset.spread =
-      std::max(static_cast<float>(kMadToSigma) * medianOf(std::move(heights)), kMinRoughness);
-  return offset;
+  return {robustSpreadOf(heights, kMinRoughness), heights.size()};
 }
 
 /// The same surface, with a node halfway between any two.
@@ -360,20 +368,12 @@ GroundModel settled(const GroundModel& ground, const std::vector<Eigen::Vector3f
   for (const Eigen::Vector3f& point : points) {
     const float height = ground.heightAbove(point);
     if (std::abs(height) > tolerance) continue;
-    const Eigen::Vector2f at = (point.head<2>() - ground.corner()) / ground.spacing();
-    const int i = static_cast<int>(at.x());
-    const int j = static_cast<int>(at.y());
-    for (int y = j; y <= std::min(j + 1, rows - 1); ++y) {
-      for (int x = i; x <= std::min(i + 1, columns - 1); ++x) {
-        nearby[static_cast<std::size_t>(y) * static_cast<std::size_t>(columns) +
-               static_cast<std::size_t>(x)]
-            .push_back(height);
-      }
-    }
+    forEachNodeAround((point.head<2>() - ground.corner()) / ground.spacing(), columns, rows,
+                      [&](std::size_t node) { nearby[node].push_back(height); });
   }
   std::vector<Offset> offsets(nodes.size());
   parallelFor(nodes.size(), [&](std::size_t node) {
-    if (nodes[node].seen != 0U) offsets[node] = offsetOf(std::move(nearby[node]));
+    if (nodes[node].seen != 0U) offsets[node] = offsetOf(nearby[node]);
   });
   // Medians of the field, for at weeds and stems' feet offsets are none of the soil's.
   const auto usualOf = [&](auto value) {
@@ -383,17 +383,17 @@ GroundModel settled(const GroundModel& ground, const std::vector<Eigen::Vector3f
     }
     return values.empty() ? 0.0F : medianOf(std::move(values));
   };
-  const float spread = usualOf([](const Offset& offset) { return offset.spread; });
+  const float spread = usualOf([](const Offset& offset) { return offset.heights.stddev; });
   const float by_chance = usualOf([&](const Offset& offset) { return offset.variance(spread); });
   const float size = static_cast<float>(kMadToSigma) *
-                     usualOf([](const Offset& offset) { return std::abs(offset.value); });
+                     usualOf([](const Offset& offset) { return std::abs(offset.heights.middle); });
   const float variance = size * size - by_chance;
   if (!(variance > 0.0F)) return ground;
   for (std::size_t node = 0; node < nodes.size(); ++node) {
     const Offset& offset = offsets[node];
     if (offset.points == 0U) continue;
-    nodes[node].height += variance / (variance + offset.variance(spread)) * offset.value;
-    nodes[node].stddev = std::min(nodes[node].stddev, std::max(offset.spread, spread));
+    nodes[node].height += variance / (variance + offset.variance(spread)) * offset.heights.middle;
+    nodes[node].stddev = std::min(nodes[node].stddev, std::max(offset.heights.stddev, spread));
   }
   return {ground.corner(), ground.spacing(), columns, rows, std::move(nodes), ground.observed()};
 }
@@ -425,15 +425,8 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
   if (observed) {
     for (const Eigen::Vector3f& p : cloud.points) {
       if (std::abs(residualOf(block_plane, p)) > kRidgeHeight) continue;
-      const int i = static_cast<int>((p.x() - extent.low.x()) / spacing);
-      const int j = static_cast<int>((p.y() - extent.low.y()) / spacing);
-      for (int y = j; y <= std::min(j + 1, rows - 1); ++y) {
-        for (int x = i; x <= std::min(i + 1, columns - 1); ++x) {
-          nearby[static_cast<std::size_t>(y) * static_cast<std::size_t>(columns) +
-                 static_cast<std::size_t>(x)]
-              .push_back(p);
-        }
-      }
+      forEachNodeAround((p.head<2>() - extent.low) / spacing, columns, rows,
+                        [&](std::size_t node) { nearby[node].push_back(p); });
     }
   }
 

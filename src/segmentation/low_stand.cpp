@@ -99,18 +99,19 @@ bool passes(const StemAxis& axis, const Eigen::Vector3f& place) {
   return (axis.pointAtHeight(place.z()) - place).head<2>().norm() < kApart;
 }
 
-/// Whether a stem shows as little as none would where the stand's stems are seen well: many were
-/// found by their own points, and have several times as many.
-bool showsTooLittle(const GrownStem& stem, const std::vector<GrownStem>& known,
-                    std::size_t places) {
+/// Points that any stem shows where the stand's stems are seen well: many were found by their own
+/// points, and have several times as many; 0 where they are not.
+/// @param known  found by their own points
+/// @param places where leaves come together
+float fewestPoints(const std::vector<GrownStem>& known, std::size_t places) {
   constexpr float kShare = 0.4F;
   constexpr float kWell = 40.0F;      // points
   constexpr std::size_t kOneIn = 4U;  // places shows a stem
-  if (kOneIn * known.size() < places) return false;
+  if (kOneIn * known.size() < places) return 0.0F;
   std::vector<float> counts;
-  for (const GrownStem& other : known) counts.push_back(static_cast<float>(other.points.size()));
+  for (const GrownStem& stem : known) counts.push_back(static_cast<float>(stem.points.size()));
   const float usual = medianOf(std::move(counts));
-  return usual >= kWell && static_cast<float>(stem.points.size()) < kShare * usual;
+  return usual >= kWell ? kShare * usual : 0.0F;
 }
 
 /// The stems of seedlings stand where their leaves come together: of those found the ones that do,
@@ -146,11 +147,11 @@ std::vector<GrownStem> onlyWhereLeavesConverge(const GrowthScene& scene, const B
     more.push_back(growAlong(scene, StemAxis({{foot, radius}, {top, radius}}), 0.0F, plant_height,
                              parameters));
   }
-  more.erase(std::remove_if(
-                 more.begin(), more.end(),
-                 [&](const GrownStem& stem) { return showsTooLittle(stem, stems, places.size()); }),
-             more.end());
-  std::move(more.begin(), more.end(), std::back_inserter(stems));
+  const float fewest = fewestPoints(stems, places.size());
+  std::copy_if(std::make_move_iterator(more.begin()), std::make_move_iterator(more.end()),
+               std::back_inserter(stems), [&](const GrownStem& stem) {
+                 return static_cast<float>(stem.points.size()) >= fewest;
+               });
   return stems;
 }
 

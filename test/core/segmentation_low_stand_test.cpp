@@ -110,6 +110,13 @@ TEST(LowStand, PiecesShrinkWithThePlants) {
       << "not ever shorter where there is but soil";
 }
 
+/// At least so many percent of the plants, and 95 percent of what was found are plants.
+void expectMostFound(const Found& found, std::size_t plants, std::size_t percent) {
+  std::printf("%zu of %zu, %zu wrong\n", found.right, plants, found.wrong);
+  EXPECT_GE(100U * found.right, percent * plants);
+  EXPECT_GE(100U * found.right, 95U * (found.right + found.wrong));
+}
+
 /// Looks for the plants of three rows in four fields, at least so many percent of which are found.
 /// @param distance between the rows [m]
 /// @param addWeeds to a scene
@@ -126,9 +133,7 @@ void expectFoundInRows(double distance, const AddWeeds& addWeeds, std::size_t pe
     found.right += here.right;
     found.wrong += here.wrong;
   }
-  std::printf("%zu of %zu, %zu wrong\n", found.right, plants, found.wrong);
-  EXPECT_GE(100U * found.right, percent * plants);
-  EXPECT_GE(100U * found.right, 95U * (found.right + found.wrong));
+  expectMostFound(found, plants, percent);
 }
 
 TEST(LowStand, SeedlingsAreFoundInTheirRows) {
@@ -158,9 +163,7 @@ TEST(LowStand, LeavesShowStemsThatAreNotSeen) {
     found.right += here.right;
     found.wrong += here.wrong;
   }
-  std::printf("%zu of %zu, %zu wrong\n", found.right, plants, found.wrong);
-  EXPECT_GE(100U * found.right, 95U * plants);
-  EXPECT_GE(100U * found.right, 95U * (found.right + found.wrong));
+  expectMostFound(found, plants, 95U);
 }
 
 // Leaves of neighbours cross between plants, as if they came from a stem there. Stems that are seen
@@ -182,9 +185,7 @@ TEST(LowStand, LeavesShowNoStemsWhereTheOthersAreSeen) {
     found.right += here.right;
     found.wrong += here.wrong;
   }
-  std::printf("%zu of %zu, %zu wrong\n", found.right, plants, found.wrong);
-  EXPECT_GE(100U * found.right, 95U * plants);
-  EXPECT_GE(100U * found.right, 95U * (found.right + found.wrong));
+  expectMostFound(found, plants, 95U);
 }
 
 // As low as weeds, and in no rows: nothing tells them from weeds.
