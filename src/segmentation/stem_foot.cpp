@@ -40,11 +40,15 @@ Sight sightOf(const Block& block, const NeighborGrid& grid, const Midline& midli
 
 /// Whether the lowest part of the stem shows enough to know where it stands.
 bool footIsSeen(const Sight& sight) {
-  constexpr float kLowest = 0.35F;  // of the length
-  constexpr float kEnough = 0.08F;  // of what is seen in all
-  const auto bands = static_cast<std::size_t>(kLowest * static_cast<float>(sight.weights.size()));
+  constexpr float kLowest = 0.2F;   // of the length: where more is hidden a bend may be too
+  constexpr float kLeast = 0.25F;   // [m]
+  constexpr float kEnough = 0.04F;  // of what is seen in all
+  const auto bands = static_cast<float>(sight.weights.size());
+  const float lowest = std::min(std::max(kLowest * bands, kLeast / kBand), bands);
   float low = 0.0F;
-  for (std::size_t band = 0; band < bands; ++band) low += sight.weights[band];
+  for (std::size_t band = 0; band < static_cast<std::size_t>(lowest); ++band) {
+    low += sight.weights[band];
+  }
   return low >= kEnough * sight.total;
 }
 

@@ -47,11 +47,10 @@ class Foot : public ::testing::Test {
   }
 
   /// Distance of the settled foot from the true one [m], when leaves have turned the midline about
-  /// its upper part by `turn`.
-  float missBy(const Eigen::Vector2f& slope, const Eigen::Vector2f& turn,
-               const StandLean& lean) const {
+  /// the height `pivot` by `turn`.
+  float missBy(const Eigen::Vector2f& slope, const Eigen::Vector2f& turn, const StandLean& lean,
+               float pivot = 1.2F) const {
     Midline midline;
-    const float pivot = 1.2F;
     const Eigen::Vector2f turned = slope + turn;
     const Eigen::Vector2f base = pivot * (slope - turned);
     midline.axis = straight({base.x(), base.y(), 0.0F}, turned);
@@ -83,6 +82,17 @@ TEST_F(Foot, HiddenOneOfAPlantThatLeansFarMoreThanTheOthersIsFoundAgain) {
   for (const Eigen::Vector2f& turn : {Eigen::Vector2f(0.03F, 0.0F), Eigen::Vector2f(0.0F, -0.03F),
                                       Eigen::Vector2f(-0.02F, 0.02F)}) {
     EXPECT_LT(missBy(slope, turn, uprightStand()), 0.03F);
+  }
+}
+
+TEST_F(Foot, HiddenOneBelowAStemThatIsSeenFarDownIsFoundAgain) {
+  const Eigen::Vector2f slope(0.03F, -0.02F);
+  addStem(slope, 0.4F, 300, 30);
+  const float pivot = 0.8F;
+  for (const Eigen::Vector2f& turn : {Eigen::Vector2f(0.05F, 0.0F), Eigen::Vector2f(0.0F, -0.05F),
+                                      Eigen::Vector2f(-0.04F, -0.03F)}) {
+    EXPECT_LT(missBy(slope, turn, uprightStand(), pivot), 0.02F);
+    EXPECT_GT(pivot * turn.norm(), 0.035F) << "it was farther off";
   }
 }
 
