@@ -135,23 +135,35 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
     return std::nullopt;
   }
 
-  // 1. The part that is seen: its middle and its slope.
-  Eigen::Vector3f middle = Eigen::Vector3f::Zero();
-  for (std::size_t band = 0; band < sight.weights.size(); ++band) {
-    middle +=
-        sight.weights[band] / sight.total * axis.pointAt((static_cast<float>(band) + 0.5F) * kBand);
-  }
+  // 1. The slope of what is seen, and the middle of its lower part.
+  const auto middleOf = [&](std::size_t end) {
+    Eigen::Vector3f sum = Eigen::Vector3f::Zero();
+    float weight = 0.0F;
+    for (std::size_t band = 0; band < end; ++band) {
+      sum += sight.weights[band] * axis.pointAt((static_cast<float>(band) + 0.5F) * kBand);
+      weight += sight.weights[band];
+    }
+    return Eigen::Vector3f(sum / weight);
+  };
+  const Eigen::Vector3f middle_of_all = middleOf(sight.weights.size());
   float lever = 0.0F;  // mean square height about the middle
   Eigen::Vector2f moment = Eigen::Vector2f::Zero();
   for (std::size_t band = 0; band < sight.weights.size(); ++band) {
-    const Eigen::Vector3f off = axis.pointAt((static_cast<float>(band) + 0.5F) * kBand) - middle;
+    const Eigen::Vector3f off =
+        axis.pointAt((static_cast<float>(band) + 0.5F) * kBand) - middle_of_all;
     lever += sight.weights[band] / sight.total * off.z() * off.z();
     moment += sight.weights[band] / sight.total * off.z() * off.head<2>();
   }
+  constexpr float kLower = 0.6F;  // of what is seen: stems bend further up
+  float seen = 0.0F;
+  std::size_t lower = 0U;
+  while (seen < kLower * sight.total) seen += sight.weights[lower++];
+  const Eigen::Vector3f middle = middleOf(lower);
   if (!(lever > 0.0F)) return std::nullopt;
   const Eigen::Vector2f seen_slope = moment / lever;
-  constexpr float kLeafPull = 0.015F;  // [m] by which leaves move either end
-  const float seen_error = kLeafPull / std::sqrt(lever);
+  constexpr float kLeafPull = 0.008F;  // [m] by which leaves move either end
+  constexpr float kFew = 60.0F;        // points that as easily follow a leaf
+  const float seen_error = kLeafPull * std::sqrt((1.0F + kFew / sight.total) / lever);
   // Between that and the stand's, by what is known of either.
   const float unusual = lean.deviation(seen_slope, 0.0F);
   const float scatter =

@@ -328,33 +328,39 @@ std::vector<std::size_t> StemSelection::stemsAmong(
   }
   stems = withoutCrowding(candidates, stems, bases, merits);
 
-  // Those show the rows, which say where a stem needs less merit, and where it needs more.
+  // Those show how the stand leans and its rows, which say where a stem needs less merit, and where
+  // it needs more.
   std::vector<PlantPlace> places;
+  std::vector<StemAxis> axes;
   for (const std::size_t c : stems) {
     places.push_back(
         {bases[c].head<2>().cast<double>(), std::min(static_cast<double>(merits[c] / usual), 1.0)});
+    axes.push_back(candidates[c].midline.axis);
   }
   const std::optional<RowModel> rows =
       RowModel::find(places, {parameters_.row_spacing, parameters_.plant_spacing});
-  std::vector<StemAxis> axes;
-  for (const std::size_t c : stems) axes.push_back(candidates[c].midline.axis);
   const StandLean lean = leanOf(axes);
-  if (rows) {
-    std::vector<float> likely = merits;
-    for (std::size_t c = 0; c < candidates.size(); ++c) {
-      likely[c] *= meritOfOdds(rows->rowOdds(bases[c].head<2>().cast<double>())) *
-                   leanFit(candidates[c], lean);
-    }
-    stems = distinctStems(
-        candidates, bases, likely, block_.cloud.size(), least_distance,
-        [&](std::size_t c, const std::vector<std::size_t>& kept) {
+  if (!rows && !lean.known()) {
+    std::sort(stems.begin(), stems.end());
+    return stems;
+  }
+  std::vector<float> likely = merits;
+  for (std::size_t c = 0; c < candidates.size(); ++c) {
+    if (lean.known()) likely[c] *= leanFit(candidates[c], lean);
+    if (rows) likely[c] *= meritOfOdds(rows->rowOdds(bases[c].head<2>().cast<double>()));
+  }
+  stems = distinctStems(
+      candidates, bases, likely, block_.cloud.size(), least_distance,
+      [&](std::size_t c, const std::vector<std::size_t>& kept) {
+        float merit = likely[c];
+        if (rows) {
           std::vector<Eigen::Vector2d> others;
           for (const std::size_t k : kept) others.push_back(bases[k].head<2>().cast<double>());
-          const double odds = rows->spacingOdds(bases[c].head<2>().cast<double>(), others);
-          return likely[c] * meritOfOdds(odds) >= std::max(kLeastMerit, kLeastShare * usual);
-        });
-    stems = withoutCrowding(candidates, stems, bases, likely);
-  }
+          merit *= meritOfOdds(rows->spacingOdds(bases[c].head<2>().cast<double>(), others));
+        }
+        return merit >= std::max(kLeastMerit, kLeastShare * usual);
+      });
+  stems = withoutCrowding(candidates, stems, bases, likely);
   std::sort(stems.begin(), stems.end());
   return stems;
 }

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include "field_phenotyping/common/neighbor_grid.hpp"
@@ -19,7 +20,7 @@ using testing::Scene;
 
 constexpr double kLength = 1.5;
 
-/// A row of stems, and the candidates for them.
+/// Stems, in a row if not said, and the candidates for them.
 class Stand : public ::testing::Test {
  protected:
   struct Candidate {
@@ -28,14 +29,17 @@ class Stand : public ::testing::Test {
   };
 
   void build(const std::vector<double>& places) {
-    for (const double x : places) {
-      PlantTruth plant;
-      plant.base = {x, 0.0};
-      plant.stem_length = kLength;
-      scene_.addPlant(plant);
-    }
-    block_ = blockOf(scene_, testing::levelSoil(), &source_);
+    for (const double x : places) addPlant({x, 0.0});
+    makeBlock();
   }
+  void addPlant(const Eigen::Vector2d& base, double lean = 0.0) {
+    PlantTruth plant;
+    plant.base = base;
+    plant.stem_length = kLength;
+    plant.lean = lean;
+    scene_.addPlant(plant);
+  }
+  void makeBlock() { block_ = blockOf(scene_, testing::levelSoil(), &source_); }
 
   /// The points of the block that the given part of a plant truly has.
   std::vector<std::uint32_t> pointsOf(int plant, bool stem) const {
@@ -47,20 +51,21 @@ class Stand : public ::testing::Test {
     return points;
   }
 
-  /// A candidate that stands at x and claims those points.
-  void add(double x, double length, float evidence, std::vector<std::uint32_t> points) {
+  /// A candidate that stands at a place and claims those points.
+  void add(const Eigen::Vector2d& place, double length, float evidence,
+           std::vector<std::uint32_t> points, double lean = 0.0) {
     Candidate candidate;
-    const Eigen::Vector3f base(static_cast<float>(x), 0.0F, 0.0F);
-    candidate.midline.axis = StemAxis(
-        {{base, 0.011F}, {base + Eigen::Vector3f(0.0F, 0.0F, static_cast<float>(length)), 0.011F}});
+    const Eigen::Vector3d base(place.x(), place.y(), 0.0);
+    const Eigen::Vector3d top = base + length * Eigen::Vector3d(std::sin(lean), 0, std::cos(lean));
+    candidate.midline.axis = StemAxis({{base.cast<float>(), 0.011F}, {top.cast<float>(), 0.011F}});
     candidate.midline.spread = 0.001F;
     candidate.midline.evidence = evidence;
     candidate.points = std::move(points);
     candidates_.push_back(std::move(candidate));
   }
   void addStem(int plant, float evidence = 150.0F) {
-    add(scene_.plants[static_cast<std::size_t>(plant)].base.x(), kLength, evidence,
-        pointsOf(plant, true));
+    const PlantTruth& truth = scene_.plants[static_cast<std::size_t>(plant)];
+    add(truth.base, kLength, evidence, pointsOf(plant, true), truth.lean);
   }
 
   std::vector<std::size_t> select(const SegmentationParameters& parameters = {}) const {
@@ -102,7 +107,7 @@ TEST_F(Stand, OfTwoForOneStemTheBetterStays) {
 TEST_F(Stand, WhatHasNoPointsOnItsAxisIsNone) {
   build({-0.3, 0.0, 0.3});
   for (int plant = 0; plant < 3; ++plant) addStem(plant);
-  add(0.15, kLength, 150.0F, pointsOf(1, false));  // a leaf's points, between two plants
+  add({0.15, 0.0}, kLength, 150.0F, pointsOf(1, false));  // a leaf's points, between two plants
   EXPECT_EQ(select(), (std::vector<std::size_t>{0, 1, 2}));
 }
 
@@ -114,7 +119,7 @@ TEST_F(Stand, WhatIsLowForItsCanopyIsNone) {
   low.erase(std::remove_if(low.begin(), low.end(),
                            [&](std::uint32_t i) { return block_.cloud.points[i].z() > 0.12F; }),
             low.end());
-  add(-0.3, 0.12, 20.0F, low);
+  add({-0.3, 0.0}, 0.12, 20.0F, low);
   EXPECT_EQ(select(), (std::vector<std::size_t>{0, 1}));
 }
 
@@ -135,6 +140,23 @@ TEST_F(Stand, NearerThanThePlantsMayStand) {
   EXPECT_EQ(select(parameters), (std::vector<std::size_t>{0, 1, 3}));
   parameters.min_plant_spacing = 0.03;
   EXPECT_EQ(select(parameters).size(), 4U);
+}
+
+TEST_F(Stand, WhatLeansUnlikeTheOthersMustBeBetterAlsoWhereThereAreNoRows) {
+  for (const Eigen::Vector2d& place :
+       {Eigen::Vector2d(0.0, 0.0), Eigen::Vector2d(0.62, 0.31), Eigen::Vector2d(0.17, 0.74),
+        Eigen::Vector2d(-0.55, 0.42), Eigen::Vector2d(-0.48, -0.37), Eigen::Vector2d(0.29, -0.58),
+        Eigen::Vector2d(0.94, -0.21)}) {
+    addPlant(place);
+  }
+  constexpr double kLean = 0.25;                             // [rad]
+  addPlant({-0.5 * kLength * std::sin(kLean), 0.0}, kLean);  // it meets the first one half way up
+  makeBlock();
+  for (int plant = 0; plant < 8; ++plant) addStem(plant, plant == 0 ? 110.0F : 150.0F);
+  candidates_[0].midline.hidden = 0.3F;
+  EXPECT_EQ(select(), (std::vector<std::size_t>{0, 1, 2, 3, 4, 5, 6}));
+  candidates_[0].midline.evidence = 30.0F;
+  EXPECT_EQ(select(), (std::vector<std::size_t>{1, 2, 3, 4, 5, 6, 7}));
 }
 
 }  // namespace
