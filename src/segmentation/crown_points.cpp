@@ -9,6 +9,7 @@
 #include <map>
 #include <utility>
 
+#include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 
 namespace field_phenotyping {
@@ -173,6 +174,32 @@ bool isNearOwner(const Candidate& candidate, const std::vector<Line>& lines) {
 /// Candidates that a plant may get: how far along its line, and which; upwards.
 using Crown = std::vector<std::pair<float, std::size_t>>;
 
+/// Whether a candidate is far nearer to its line than to the next one.
+bool isClear(const Candidate& candidate) {
+  constexpr float kTimes = 3.0F;
+  return candidate.second >= kTimes * candidate.aside;
+}
+
+/// The widest gap that plants of this stand may have between points that are clearly theirs [m]:
+/// beyond a wider one others are a branch of a taller neighbour.
+float usualGap(const std::vector<Candidate>& candidates, const std::vector<Crown>& crowns,
+               const std::vector<float>& reached) {
+  constexpr float kLeast = 0.12F;  // [m]
+  constexpr float kTimes = 1.5F;   // the median
+  std::vector<float> gaps;
+  for (std::size_t plant = 0; plant < crowns.size(); ++plant) {
+    float from = reached[plant];
+    float widest = -1.0F;
+    for (const auto& [along, k] : crowns[plant]) {
+      if (!isClear(candidates[k])) continue;
+      widest = std::max(widest, along - from);
+      from = std::max(from, along);
+    }
+    if (widest >= 0.0F) gaps.push_back(widest);
+  }
+  return gaps.empty() ? kLeast : std::max(kTimes * medianOf(std::move(gaps)), kLeast);
+}
+
 /// Whether hardly another one stands with it so far above what is known of the plant. A point or
 /// two of another plant's are the tip of one of its leaves there.
 /// @param reached along the line [m]
@@ -210,11 +237,13 @@ void giveCrownPoints(const Block& block, const std::vector<StemAxis>& axes, doub
     const auto plant = static_cast<std::size_t>(candidate.nearest);
     crowns[plant].emplace_back(lines[plant].along(candidate.place), k);
   }
+  for (Crown& crown : crowns) std::sort(crown.begin(), crown.end());
+  const float usual_gap = usualGap(candidates, crowns, reached);
   for (std::size_t plant = 0; plant < lines.size(); ++plant) {
-    std::sort(crowns[plant].begin(), crowns[plant].end());
     for (auto at = crowns[plant].cbegin(); at != crowns[plant].cend(); ++at) {
       const auto [along, k] = *at;
       if (along > reached[plant] + reach.gap) break;
+      if (along > reached[plant] + usual_gap && !isClear(candidates[k])) continue;
       if (*candidates[k].owner >= 0 && standsAlone(crowns[plant], at, reached[plant])) continue;
       reached[plant] = std::max(reached[plant], along);
       *candidates[k].owner = static_cast<std::int32_t>(plant);

@@ -123,11 +123,11 @@ TEST(CrownPoints, NotWhatStandsBesideTheLineOrBelowTheEnd) {
   for (const bool sparse : {false, true}) {
     Crowns crowns;
     if (sparse) crowns.sparse_from = 0.0;
-    const std::size_t near = crowns.add(crowns.over(0, 0.2F, 0.08F));
-    const std::size_t lone = crowns.add(crowns.over(0, 0.2F, 0.14F));
-    const std::size_t others = crowns.add(crowns.over(0, 0.2F, 0.14F), 1);
-    const std::size_t between = crowns.add(crowns.over(0, 0.2F, 0.18F));
-    const std::size_t beside = crowns.add({-0.22F, 0.0F, 2.2F});
+    const std::size_t near = crowns.add(crowns.over(0, 0.1F, 0.08F));
+    const std::size_t lone = crowns.add(crowns.over(0, 0.1F, 0.14F));
+    const std::size_t others = crowns.add(crowns.over(0, 0.1F, 0.14F), 1);
+    const std::size_t between = crowns.add(crowns.over(0, 0.1F, 0.18F));
+    const std::size_t beside = crowns.add({-0.22F, 0.0F, 2.1F});
     const std::size_t below = crowns.add(crowns.over(0, -0.5F, 0.03F));
     crowns.give();
     EXPECT_EQ(crowns.ownerOf(near), sparse ? 0 : -1) << "farther off where little is seen";
@@ -136,6 +136,23 @@ TEST(CrownPoints, NotWhatStandsBesideTheLineOrBelowTheEnd) {
     EXPECT_EQ(crowns.ownerOf(between), -1) << "the other line is nearly as near";
     EXPECT_EQ(crowns.ownerOf(beside), -1);
     EXPECT_EQ(crowns.ownerOf(below), -1);
+  }
+}
+
+TEST(CrownPoints, BranchesOfATallNeighbourAreNotAShortPlants) {
+  for (const float gap : {0.05F, 0.25F}) {  // between points of the neighbour's
+    Crowns crowns;
+    crowns.sparse_from = 2.0;
+    for (const float above : {gap, 2.0F * gap, 3.0F * gap}) {
+      crowns.add(crowns.over(1, above, 0.01F));
+    }
+    const std::size_t branch = crowns.add(crowns.over(0, 0.3F, 0.08F));
+    crowns.give();
+    EXPECT_EQ(crowns.ownerOf(branch), gap < 0.1F ? -1 : 0) << "gaps are usual there";
+    const std::size_t tassel = crowns.add(crowns.over(0, 0.3F, 0.03F));
+    crowns.give();
+    EXPECT_EQ(crowns.ownerOf(tassel), 0);
+    EXPECT_EQ(crowns.ownerOf(branch), 0) << "it stands beside the tassel";
   }
 }
 
