@@ -17,6 +17,8 @@
 namespace field_phenotyping {
 namespace {
 
+constexpr double kWidened = 1.2;  // a midline among leaves
+
 /// Carries an axis on by some way, and cuts it where the stem ends; see findStemTop().
 /// @param beyond [m]
 Midline cutAtTop(const GrowthScene& scene, const SamplingProfile& sampling, Midline midline,
@@ -155,6 +157,55 @@ void poolEnds(const GrowthScene& scene, const SamplingProfile& sampling, float m
   });
 }
 
+float radiusHalfwayUp(const StemAxis& axis) {
+  return axis.radiusAt(0.5F * axis.length());
+}
+
+/// Whether an axis is about that of another stem's lower half; above it that may have followed a
+/// leaf.
+bool isAlong(const StemAxis& axis, const StemAxis& thick) {
+  constexpr float kStep = 0.05F;     // [m]
+  constexpr float kFarthest = 1.5F;  // of the radius
+  for (float s = 0.0F; s < 0.5F * thick.length(); s += kStep) {
+    if (!(axis.project(thick.pointAt(s)).distance < kFarthest * thick.radiusAt(s))) return false;
+  }
+  return true;
+}
+
+/// Fits stems anew that came out far thicker than the others of their stand: leaves that wrap a
+/// stem look like one, and from their surface no fit finds the way back to the stem's. Young plants
+/// are left as they are, for they show too little of a stem within.
+void refitThickStems(const GrowthScene& scene, float max_radius, float plant_height,
+                     std::vector<GrownStem>& stems) {
+  constexpr std::size_t kLeastStems = 5U;
+  // Of thin stems most may be wrapped.
+  constexpr std::size_t kThinner = 4U;  // one in so many is thinner than the radius taken for usual
+  constexpr float kThick = 1.3F;     // of the usual radius: stems of a stand are alike to a tenth
+  constexpr float kThickest = 2.0F;  // of the same, that is looked for
+  constexpr float kLeastEvidence = 0.5F;  // of what spoke for the thick one, leaves and all
+  if (stems.size() < kLeastStems || isYoung(plant_height)) return;
+  std::vector<float> radii;
+  for (const GrownStem& stem : stems) radii.push_back(radiusHalfwayUp(stem.midline.axis));
+  std::vector<float> sorted = radii;
+  const auto quarter = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / kThinner);
+  std::nth_element(sorted.begin(), quarter, sorted.end());
+  const float usual = *quarter;
+  const float thickest = std::min(max_radius, kThickest * usual);
+  parallelFor(stems.size(), [&](std::size_t s) {
+    if (!(radii[s] > kThick * usual)) return;
+    Midline& midline = stems[s].midline;
+    const std::vector<std::uint32_t> around =
+        pointsAround(scene, midline.axis, kStemSurroundings * max_radius);
+    Midline thinner = fitMidline(scene.points, around, midline.axis, thickest, plant_height);
+    thinner = refineMidline(scene.points, around, thinner, plant_height, kWidened);
+    if (radiusHalfwayUp(thinner.axis) < kThick * usual &&
+        thinner.evidence > kLeastEvidence * midline.evidence &&
+        isAlong(thinner.axis, midline.axis)) {
+      midline = std::move(thinner);
+    }
+  });
+}
+
 /// Where the stems' surfaces are, once their ends are about known.
 /// @param leaves_known leave out what the midlines so far show to be leaf bases'
 void refineMidlines(const GrowthScene& scene, float max_radius, float plant_height, double widened,
@@ -260,8 +311,8 @@ std::vector<GrownStem> fitStand(const GrowthScene& scene, const StemSelection& s
   constexpr std::size_t kFewStems = 5U;
   const SamplingProfile sampling = stems.size() < kFewStems ? SamplingProfile() : of_stand;
   carryOn(scene, sampling, max_radius, plant_height, stems);
-  constexpr double kWidened = 1.2;  // of a midline among leaves
   refineMidlines(scene, max_radius, plant_height, kWidened, false, device, stems);
+  refitThickStems(scene, max_radius, plant_height, stems);
   poolEnds(scene, sampling, max_radius, plant_height, stems);
   stems = refitSeedlings(scene, selection, plant_height, std::move(stems), parameters);
   refineMidlines(scene, max_radius, plant_height, 1.0, true, device, stems);

@@ -12,8 +12,9 @@
 namespace field_phenotyping {
 
 /// Fits the stems of a stand once they are found: where their surfaces are and where they end, each
-/// of which shows the other, and of which the stems tell one another. Seedlings are fitted anew,
-/// and two that come to one stem are one.
+/// of which shows the other, and of which the stems tell one another. Stems far thicker than the
+/// stand's are looked for within what wraps them. Seedlings are fitted anew, and two that come to
+/// one stem are one.
 /// @param plant_height about how high the plants are [m]
 /// @param sampling     of the block; not asked where there are few stems
 /// @param device       what leaf bases are searched for on; all else is the CPU's
