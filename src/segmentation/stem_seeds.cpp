@@ -267,16 +267,22 @@ class Chains {
       : clusters_(clusters),
         links_(links),
         score_(clusters.size(), 0.0F),
-        below_(clusters.size(), kNone) {
+        below_(clusters.size(), kNone),
+        unused_(clusters.size()),
+        changed_(clusters.size(), 0U) {
+    std::iota(unused_.begin(), unused_.end(), std::size_t{0});
     for (std::size_t high = 0; high < clusters.size(); ++high) extendTo(high);
   }
 
   /// The chain of unused clusters with the most evidence.
   Chain best() {
-    dropUsed();
+    unused_.erase(std::remove_if(unused_.begin(), unused_.end(),
+                                 [&](std::size_t c) { return clusters_[c].used; }),
+                  unused_.end());
+    ++round_;
     std::size_t best = kNone;
-    for (std::size_t high = 0; high < clusters_.size(); ++high) {
-      if (clusters_[high].used) continue;
+    for (const std::size_t high : unused_) {
+      leaveUsed(high);
       if (best == kNone || score_[high] > score_[best]) best = high;
     }
     Chain chain;
@@ -303,22 +309,22 @@ class Chains {
     score_[high] = clusters_[high].evidence + gain;
   }
 
-  /// Extends anew the chains that lead through clusters used since. Others only lost worse ways.
-  void dropUsed() {
-    std::vector<std::uint8_t> changed(clusters_.size(), 0U);
-    for (std::size_t high = 0; high < clusters_.size(); ++high) {
-      const std::size_t low = below_[high];
-      if (clusters_[high].used || low == kNone) continue;
-      if (!clusters_[low].used && changed[low] == 0U) continue;
-      extendTo(high);
-      changed[high] = 1U;
-    }
+  /// Extends the chain that ends in a cluster anew if it leads through clusters used since. Others
+  /// only lost worse ways.
+  void leaveUsed(std::size_t high) {
+    const std::size_t low = below_[high];
+    if (low == kNone || (!clusters_[low].used && changed_[low] != round_)) return;
+    extendTo(high);
+    changed_[high] = round_;
   }
 
   const std::vector<Cluster>& clusters_;
   const std::vector<std::vector<Link>>& links_;
   std::vector<float> score_;
   std::vector<std::size_t> below_;
+  std::vector<std::size_t> unused_;     // ascending
+  std::vector<std::uint32_t> changed_;  // round of best() in which each was extended anew
+  std::uint32_t round_ = 0U;
 };
 
 /// Draws the seeds that stray on to leaves back to the stem's own gentle curve: a parabola over the
