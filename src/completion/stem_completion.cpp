@@ -448,7 +448,7 @@ std::vector<CompletedStem> completeStems(const PointCloud& cloud,
   std::vector<CompletedStem> completed(stems.size());
   if (device.hasGpu()) {
     // While some are on the GPU others are made ready for it, and read from it.
-    constexpr std::size_t kAtOnce = 8U;
+    constexpr std::size_t kAtOnce = 16U;
     parallelChunks(stems.size(), kAtOnce, [&](std::size_t begin, std::size_t end) {
       const auto first = stems.begin() + static_cast<std::ptrdiff_t>(begin);
       std::vector<CompletedStem> some =

@@ -9,6 +9,7 @@
 #include <map>
 #include <utility>
 
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 
@@ -60,13 +61,12 @@ std::vector<Candidate> findCandidates(const Block& block, double sparse_from, Po
   const auto is_sparse = [&](const Eigen::Vector3f& point) {
     return static_cast<double>(block.ground.heightAbove(point)) >= sparse_from;
   };
+  const std::vector<std::uint32_t> may_go = indicesWhere(owners.plant.size(), [&](std::size_t i) {
+    return owners.stem[i] < 0 && (owners.plant[i] < 0 || is_sparse(block.cloud.points[i]));
+  });
   std::vector<Candidate> candidates;
-  for (std::size_t i = 0; i < owners.plant.size(); ++i) {
-    const Eigen::Vector3f& point = block.cloud.points[i];
-    if (owners.stem[i] < 0 && (owners.plant[i] < 0 || is_sparse(point))) {
-      candidates.push_back({point, &owners.plant[i]});
-    }
-  }
+  for (const std::uint32_t i : may_go)
+    candidates.push_back({block.cloud.points[i], &owners.plant[i]});
   for (std::size_t i = 0; i < isolated.plant.size(); ++i) {
     const Eigen::Vector3f& point = block.isolated.points[i];
     if (isolated.stem[i] < 0 && is_sparse(point)) {

@@ -173,6 +173,7 @@ CurveSamples::Share CurveSamples::expect(const Run& run, const StemCurve& curve,
     store(probable, &posterior[i]);
     stem += probable;
     const Floats weight = probable < kNegligible ? none : trust * precision * probable;
+    if (!anyOf(weight > none)) continue;
     if (kSurface) {
       // Distance minus radius, linearised: toward . (offset - center) = radius + taper * height.
       const Floats toward_x = x * inverse;

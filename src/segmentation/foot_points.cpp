@@ -7,8 +7,10 @@
 #include <tuple>
 #include <utility>
 
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/normal_distribution.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/robust_spread.hpp"
 #include "field_phenotyping/segmentation/stem_foot.hpp"
 
@@ -95,27 +97,37 @@ std::vector<std::int32_t> findFootPoints(const Block& block, const std::vector<S
                                          const std::vector<std::int32_t>& stem_owner) {
   std::vector<std::int32_t> owner(block.feet.size(), -1);
   if (block.feet.empty()) return owner;
-  std::vector<std::vector<LowPoint>> low(axes.size());
-  for (std::size_t i = 0; i < stem_owner.size(); ++i) {
-    if (stem_owner[i] < 0) continue;
-    const Eigen::Vector3f& p = block.cloud.points[i];
-    const float height = block.ground.heightAbove(p);
-    if (height < kLowest || height > kHighest) continue;
-    const auto stem = static_cast<std::size_t>(stem_owner[i]);
-    const StemAxis::Projection at = axes[stem].project(p);
-    low[stem].push_back({height, at.distance - at.radius});
-  }
+  const auto heightOf = [&](std::size_t i) {
+    return block.ground.heightAbove(block.cloud.points[i]);
+  };
+  const std::vector<std::uint32_t> low = indicesWhere(stem_owner.size(), [&](std::size_t i) {
+    if (stem_owner[i] < 0) return false;
+    const float height = heightOf(i);
+    return !(height < kLowest || height > kHighest);
+  });
+  std::vector<std::vector<std::uint32_t>> low_of(axes.size());
+  for (const std::uint32_t i : low) low_of[static_cast<std::size_t>(stem_owner[i])].push_back(i);
   const NeighborGrid grid(block.feet.points, kReach);
-  std::vector<float> best(block.feet.size(), 0.0F);
-  std::vector<Candidate> candidates;
-  for (std::size_t s = 0; s < axes.size(); ++s) {
-    const Eigen::Vector3f base = baseOf(block, axes[s]);
-    const std::optional<LowStem> stem = lowStemOf(std::move(low[s]), axes[s].project(base).radius);
-    if (!stem) continue;
-    candidates.clear();
+  /// A candidate that is a stem's rather than the soil's.
+  struct Claim {
+    std::uint32_t index;
+    float density;  // of the stem's points there [1/m^3]
+  };
+  std::vector<std::vector<Claim>> claims(axes.size());
+  parallelFor(axes.size(), [&](std::size_t s) {
+    const StemAxis& axis = axes[s];
+    std::vector<LowPoint> points;
+    for (const std::uint32_t i : low_of[s]) {
+      const StemAxis::Projection at = axis.project(block.cloud.points[i]);
+      points.push_back({heightOf(i), at.distance - at.radius});
+    }
+    const Eigen::Vector3f base = baseOf(block, axis);
+    const std::optional<LowStem> stem = lowStemOf(std::move(points), axis.project(base).radius);
+    if (!stem) return;
+    std::vector<Candidate> candidates;
     grid.forEachWithin(base, stem->radius + kReach, [&](std::uint32_t i, float) {
       const Eigen::Vector3f& p = block.feet.points[i];
-      candidates.push_back({i, axes[s].project(p).distance, block.ground.heightAbove(p)});
+      candidates.push_back({i, axis.project(p).distance, block.ground.heightAbove(p)});
     });
     const NearSoil soil = soilAround(candidates, *stem, block.ground.stddevAt(base.x(), base.y()));
     for (const Candidate& candidate : candidates) {
@@ -127,10 +139,15 @@ std::vector<std::int32_t> findFootPoints(const Block& block, const std::vector<S
                             (2.0F * kPi * std::max(candidate.distance, stem->radius));
       const float of_soil = soil.density * normalShareBelow(outside) *
                             normalDensity(candidate.height - soil.height, soil.stddev);
-      if (of_stem > of_soil && of_stem > best[candidate.index]) {
-        best[candidate.index] = of_stem;
-        owner[candidate.index] = static_cast<std::int32_t>(s);
-      }
+      if (of_stem > of_soil) claims[s].push_back({candidate.index, of_stem});
+    }
+  });
+  std::vector<float> best(block.feet.size(), 0.0F);
+  for (std::size_t s = 0; s < axes.size(); ++s) {
+    for (const Claim& claim : claims[s]) {
+      if (!(claim.density > best[claim.index])) continue;
+      best[claim.index] = claim.density;
+      owner[claim.index] = static_cast<std::int32_t>(s);
     }
   }
   return owner;

@@ -179,9 +179,8 @@ LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& h
   }
   LeafForm form;
   const Profile usual = profileOf(whole, form.bands_.front());
-  for (std::size_t band = 0; band < kBands; ++band) {
-    form.bands_[band] = profileOf(samples[band], usual);
-  }
+  parallelFor(kBands,
+              [&](std::size_t band) { form.bands_[band] = profileOf(samples[band], usual); });
   form.learnCeiling(std::move(rises));
   form.learnTips(hosts);
   form.learnReaches(counts, hosts);
@@ -348,15 +347,15 @@ LeafForm::Profile LeafForm::profileOf(Samples& samples, const Profile& usual) {
   constexpr float kLeastMissSpread = 0.015F;  // [m]
   constexpr float kStddevOfMad = 1.48F;
   Profile profile = usual;
-  for (std::size_t k = 0; k < kBins; ++k) {
+  parallelFor(kBins, [&](std::size_t k) {
     std::vector<float>& slopes = samples.slopes[k];
-    if (slopes.size() < kEnough) continue;
+    if (slopes.size() < kEnough) return;
     Bin& bin = profile[k];
     bin.slope = medianOf(slopes);
     for (float& slope : slopes) slope = std::abs(slope - bin.slope);
     bin.slope_spread = std::max(kLeastSlopeSpread, kStddevOfMad * medianOf(slopes));
     bin.miss_spread = std::max(kLeastMissSpread, kStddevOfMad * medianOf(samples.misses[k]));
-  }
+  });
   return profile;
 }
 

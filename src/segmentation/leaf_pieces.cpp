@@ -7,6 +7,7 @@
 #include <optional>
 #include <utility>
 
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/neighborhood.hpp"
@@ -66,11 +67,13 @@ std::vector<std::int32_t> joinSmoothCells(const OrganCells& cells, const Contact
   const float thickness = noise / cells.shape_radius;
   const float most_curvature = kMostCurvature + kNoiseCurvature * thickness * thickness;
   std::vector<std::uint8_t> smooth(cells.size());
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    const LocalShape& shape = cells.shapes[n];
-    smooth[n] = cells.is_stem[n] == 0U && shape.curvature < most_curvature &&
-                shape.linearity > kLeastLinearity && shape.neighbors >= kLeastNeighbors;
-  }
+  parallelChunks(cells.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t n = begin; n < end; ++n) {
+      const LocalShape& shape = cells.shapes[n];
+      smooth[n] = cells.is_stem[n] == 0U && shape.curvature < most_curvature &&
+                  shape.linearity > kLeastLinearity && shape.neighbors >= kLeastNeighbors;
+    }
+  });
   std::vector<std::uint32_t> parent(cells.size());
   std::iota(parent.begin(), parent.end(), 0U);
   const auto root = [&](std::uint32_t n) {
@@ -104,13 +107,16 @@ std::vector<std::int32_t> joinSmoothCells(const OrganCells& cells, const Contact
   }
   constexpr std::uint32_t kLeastCells = 4U;
   std::vector<std::uint32_t> count(cells.size(), 0U);
-  for (std::uint32_t n = 0; n < cells.size(); ++n) ++count[root(n)];
+  for (std::uint32_t n = 0; n < cells.size(); ++n) {
+    parent[n] = parent[parent[n]];  // the root, for those before are known
+    ++count[parent[n]];
+  }
   std::vector<std::int32_t> piece(cells.size(), -1);
   std::vector<std::int32_t> number(cells.size(), -1);
   std::int32_t next = 0;
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (smooth[n] == 0U || count[root(n)] < kLeastCells) continue;
-    std::int32_t& of_root = number[root(n)];
+    if (smooth[n] == 0U || count[parent[n]] < kLeastCells) continue;
+    std::int32_t& of_root = number[parent[n]];
     if (of_root < 0) of_root = next++;
     piece[n] = of_root;
   }
@@ -158,16 +164,23 @@ void growPieces(const OrganCells& cells, const Contacts& contacts,
   constexpr int kMostRounds = 8;      // of one touch each
   std::vector<std::uint32_t> front;   // cells without a piece that touch one newly grown
   std::vector<std::uint8_t> listed(cells.size(), 0U);
-  const auto listAround = [&](std::uint32_t n, std::vector<std::uint32_t>& list) {
-    contacts.forEach(n, [&](std::uint32_t next) {
-      if (piece_of[next] >= 0 || listed[next] != 0U) return;
-      listed[next] = 1U;
-      list.push_back(next);
+  const auto listAround = [&](const std::vector<std::uint32_t>& grown) {
+    std::vector<std::vector<std::uint32_t>> around(chunksOf(grown.size(), kCellsOfTask));
+    parallelChunks(grown.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t k = begin; k < end; ++k) {
+        contacts.forEach(grown[k], [&](std::uint32_t next) {
+          if (piece_of[next] < 0) around[begin / kCellsOfTask].push_back(next);
+        });
+      }
     });
+    for (const std::vector<std::uint32_t>& of_chunk : around) {
+      for (const std::uint32_t next : of_chunk) {
+        if (listed[next] == 0U) front.push_back(next);
+        listed[next] = 1U;
+      }
+    }
   };
-  for (std::uint32_t n = 0; n < cells.size(); ++n) {
-    if (piece_of[n] >= 0) listAround(n, front);
-  }
+  listAround(indicesWhere(cells.size(), [&](std::size_t n) { return piece_of[n] >= 0; }));
   const auto pieceFor = [&](std::uint32_t n, std::vector<std::int32_t>& touching) {
     touching.clear();
     contacts.forEach(n, [&](std::uint32_t other) {
@@ -198,17 +211,17 @@ void growPieces(const OrganCells& cells, const Contacts& contacts,
       std::vector<std::int32_t> touching;
       for (std::size_t k = begin; k < end; ++k) pieces[k] = pieceFor(front[k], touching);
     });
-    std::vector<std::pair<std::uint32_t, std::int32_t>> grown;
+    std::vector<std::uint32_t> grown;
     for (std::size_t k = 0; k < front.size(); ++k) {
-      listed[front[k]] = 0U;
-      if (pieces[k] >= 0) grown.emplace_back(front[k], pieces[k]);
+      const std::uint32_t n = front[k];
+      listed[n] = 0U;
+      if (pieces[k] < 0) continue;
+      grown.push_back(n);
+      piece_of[n] = pieces[k];
+      places[static_cast<std::size_t>(pieces[k])].add(cells.centers[n]);
     }
     front.clear();
-    for (const auto& [n, piece] : grown) {
-      piece_of[n] = piece;
-      places[static_cast<std::size_t>(piece)].add(cells.centers[n]);
-    }
-    for (const auto& one : grown) listAround(one.first, front);
+    listAround(grown);
   }
 }
 
@@ -344,7 +357,7 @@ std::vector<std::vector<PieceLink>> linkLeafPieces(const OrganCells& cells,
   };
   const std::size_t count = pieces.cells.size();
   std::vector<std::vector<PieceLink>> onward(count);  // of each piece, to those after it
-  constexpr std::size_t kTogether = 32U;              // pieces of a task
+  constexpr std::size_t kTogether = 8U;               // pieces of a task
   parallelChunks(count, kTogether, [&](std::size_t begin, std::size_t end) {
     Least least{
         std::vector<float>(count, kMostCost), std::vector<float>(count, squaredGap(kMostCost)), {}};

@@ -107,7 +107,10 @@ std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& p
     const bool done = device.attempt([&](GpuStream& stream) {
       const LocalShapeNumbers* found =
           localShapesOnGpu(stream, xyzOf(points), view.size, view.geometry, radius);
-      for (std::size_t i = 0; i < shapes.size(); ++i) shapes[i] = toLocalShape(found[i]);
+      constexpr std::size_t kCopied = 16384U;  // of a task
+      parallelChunks(shapes.size(), kCopied, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) shapes[i] = toLocalShape(found[i]);
+      });
     });
     if (done) return shapes;
   }

@@ -179,7 +179,7 @@ std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
   const NeighborGrid grid(cells.centers, reach);
   std::vector<std::vector<Misfit>> ways(hosts.size());  // costs of the cheapest of each plant
   std::vector<std::vector<Misfit>> costs_of(hosts.size());
-  constexpr std::size_t kTogether = 4U;  // plants of a task
+  constexpr std::size_t kTogether = 2U;  // plants of a task
   parallelChunks(hosts.size(), kTogether, [&](std::size_t begin, std::size_t end) {
     std::vector<float> cost(count, kNone);
     std::vector<float> start(count, kNone);    // at the stem
@@ -326,7 +326,8 @@ void growPaths(OrganCells& cells, const std::vector<LeafHost>& hosts, const Leaf
   const NeighborGrid grid(cells.centers, reach);
   std::vector<Way> ways(open_cells.size());
   std::vector<std::vector<Step>> steps(open_cells.size());
-  parallelChunks(open_cells.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
+  constexpr std::size_t kOpenCells = 64U;  // of a task
+  parallelChunks(open_cells.size(), kOpenCells, [&](std::size_t begin, std::size_t end) {
     std::vector<std::pair<std::uint32_t, float>> sources;
     for (std::size_t k = begin; k < end; ++k) {
       const std::uint32_t n = open_cells[k];
@@ -388,7 +389,7 @@ float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
       off[k] = std::abs(at.distance - at.radius);
     }
   });
-  return off.empty() ? 0.0F : static_cast<float>(kMadToSigma) * medianOf(off);
+  return off.empty() ? 0.0F : static_cast<float>(kMadToSigma) * medianOf(std::move(off));
 }
 
 /// @param owner of each point: the plant whose stem, or what carries that on, holds it, or -1
@@ -435,9 +436,12 @@ OrganOwners assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
   growPaths(cells, hosts, form, std::min(kOrganStep, reach), false);
   // Gaps that leaves in front have torn; not near the soil, where weeds stand as close.
   if (reach > kOrganStep) growPaths(cells, hosts, form, reach, true);
-  for (std::size_t i = 0; i < owner.size(); ++i) {
-    if (owner[i] < 0) owner[i] = cells.owner[cells.of_point[i]];
-  }
+  constexpr std::size_t kPoints = 16384U;  // of a task
+  parallelChunks(owner.size(), kPoints, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      if (owner[i] < 0) owner[i] = cells.owner[cells.of_point[i]];
+    }
+  });
   return {std::move(owner), topStddevsOf(cells, pieces, rivals, hosts)};
 }
 

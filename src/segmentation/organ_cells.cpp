@@ -4,8 +4,11 @@
 #include <numeric>
 #include <utility>
 
+#include "field_phenotyping/common/bounds.hpp"
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/common/partitioned.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -18,40 +21,31 @@ constexpr float kWeedHeight = 0.25F;  // [m] below it an organ must touch its pl
 OrganCells gatherOrganCells(const Block& block, const std::vector<std::int32_t>& owner,
                             float shape_radius, const ComputeDevice& device) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
-  Eigen::Array3f low = points.front().array();
-  for (const Eigen::Vector3f& p : points) low = low.min(p.array());
-  constexpr unsigned kLevelBits = 42U;  // of a cell's number: its level, 21 bits each for y and x
-  std::vector<std::uint64_t> number(points.size());  // of each point's cell
-  constexpr std::size_t kPoints = 16384U;            // of a task
-  parallelChunks(points.size(), kPoints, [&](std::size_t begin_point, std::size_t end_point) {
-    for (std::size_t i = begin_point; i < end_point; ++i) {
-      const Eigen::Array3i cell = ((points[i].array() - low) / kCell).cast<int>();
-      number[i] = static_cast<std::uint64_t>(cell.z()) << kLevelBits |
-                  static_cast<std::uint64_t>(cell.y()) << 21U |
-                  static_cast<std::uint64_t>(cell.x());
-    }
-  });
-  std::vector<std::size_t> begin;  // of each level
-  for (const std::uint64_t of_point : number) {
-    const std::size_t level = of_point >> kLevelBits;
-    if (begin.size() < level + 2U) begin.resize(level + 2U, 0U);
-    ++begin[level + 1U];
-  }
-  std::partial_sum(begin.begin(), begin.end(), begin.begin());
-  std::vector<std::pair<std::uint64_t, std::uint32_t>> order(points.size());  // by cell, point
-  std::vector<std::size_t> next = begin;
-  for (std::uint32_t i = 0; i < points.size(); ++i) {
-    order[next[number[i] >> kLevelBits]++] = {number[i], i};
-  }
-  const std::size_t levels = begin.size() - 1U;
+  const Bounds bounds = boundsOf(points);
+  const auto cellOf = [&](const Eigen::Vector3f& point) -> Eigen::Array3i {
+    return ((point.array() - bounds.low.array()) / kCell).cast<int>();
+  };
+  using Numbered = std::pair<std::uint64_t, std::uint32_t>;  // by cell of the level, point
+  const auto levels = static_cast<std::size_t>(cellOf(bounds.high).z()) + 1U;
+  const Partitioned<Numbered> by_level(
+      points.size(), levels, [&](std::size_t begin, std::size_t end, const auto& give) {
+        for (std::size_t i = begin; i < end; ++i) {
+          const Eigen::Array3i cell = cellOf(points[i]);
+          const std::uint64_t number =
+              static_cast<std::uint64_t>(cell.y()) << 32U | static_cast<std::uint64_t>(cell.x());
+          give(static_cast<std::size_t>(cell.z()), {number, static_cast<std::uint32_t>(i)});
+        }
+      });
+  std::vector<std::vector<Numbered>> order(levels);
   std::vector<std::uint32_t> first_cell(levels + 1U, 0U);  // of each level
   const auto beginsCell = [&](std::size_t level, std::size_t k) {
-    return k == begin[level] || order[k].first != order[k - 1U].first;
+    return k == 0U || order[level][k].first != order[level][k - 1U].first;
   };
   parallelFor(levels, [&](std::size_t level) {
-    std::sort(order.begin() + static_cast<std::ptrdiff_t>(begin[level]),
-              order.begin() + static_cast<std::ptrdiff_t>(begin[level + 1U]));
-    for (std::size_t k = begin[level]; k < begin[level + 1U]; ++k) {
+    order[level].reserve(by_level.sizeOf(level));
+    by_level.forEachOf(level, [&](const Numbered& point) { order[level].push_back(point); });
+    std::sort(order[level].begin(), order[level].end());
+    for (std::size_t k = 0; k < order[level].size(); ++k) {
       if (beginsCell(level, k)) ++first_cell[level + 1U];
     }
   });
@@ -65,10 +59,10 @@ OrganCells gatherOrganCells(const Block& block, const std::vector<std::int32_t>&
   std::vector<float> counts(cells.size(), 0.0F);
   parallelFor(levels, [&](std::size_t level) {
     std::uint32_t after = first_cell[level];  // the cell that is being filled
-    for (std::size_t k = begin[level]; k < begin[level + 1U]; ++k) {
+    for (std::size_t k = 0; k < order[level].size(); ++k) {
       if (beginsCell(level, k)) ++after;
       const std::uint32_t cell = after - 1U;
-      const std::uint32_t i = order[k].second;
+      const std::uint32_t i = order[level][k].second;
       cells.of_point[i] = cell;
       cells.centers[cell] += points[i];
       counts[cell] += 1.0F;
@@ -77,26 +71,25 @@ OrganCells gatherOrganCells(const Block& block, const std::vector<std::int32_t>&
   });
   cells.is_stem.resize(cells.size());
   cells.is_low.resize(cells.size());
-  parallelChunks(cells.size(), kCellsOfTask, [&](std::size_t begin_cell, std::size_t end_cell) {
-    for (std::size_t n = begin_cell; n < end_cell; ++n) {
+  parallelChunks(cells.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t n = begin; n < end; ++n) {
       cells.centers[n] /= counts[n];
       cells.is_stem[n] = cells.owner[n] >= 0 ? 1U : 0U;
       cells.is_low[n] = block.ground.heightAbove(cells.centers[n]) < kWeedHeight ? 1U : 0U;
     }
   });
   // Stems would pull the shape of what passes them towards their own.
-  std::vector<Eigen::Vector3f> organs;
-  for (std::size_t n = 0; n < cells.size(); ++n) {
-    if (cells.is_stem[n] == 0U) organs.push_back(cells.centers[n]);
-  }
-  const NeighborGrid grid(organs, shape_radius);
-  const std::vector<LocalShape> shapes = computeLocalShapes(organs, grid, shape_radius, device);
+  const std::vector<std::uint32_t> organs =
+      indicesWhere(cells.size(), [&](std::size_t n) { return cells.is_stem[n] == 0U; });
+  const std::vector<Eigen::Vector3f> centers = valuesAt(cells.centers, organs);
+  const NeighborGrid grid(centers, shape_radius);
+  const std::vector<LocalShape> shapes = computeLocalShapes(centers, grid, shape_radius, device);
   LocalShape upright;
   upright.linearity = 1.0F;
   cells.shapes.assign(cells.size(), upright);
-  for (std::size_t n = 0, organ = 0; n < cells.size(); ++n) {
-    if (cells.is_stem[n] == 0U) cells.shapes[n] = shapes[organ++];
-  }
+  parallelChunks(organs.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) cells.shapes[organs[k]] = shapes[k];
+  });
   return cells;
 }
 

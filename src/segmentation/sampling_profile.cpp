@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstddef>
 
+#include "field_phenotyping/common/parallel.hpp"
+
 namespace field_phenotyping {
 namespace {
 
@@ -17,20 +19,33 @@ SamplingProfile::SamplingProfile(const std::vector<float>& heights,
   constexpr float kHighest = 10.0F;     // [m] of a crop
   constexpr double kLeastPoints = 10U;  // of a band that tells
   constexpr double kLeast = 0.02;
-  std::vector<double> points;
-  std::vector<double> neighbors;
-  for (std::size_t i = 0; i < heights.size(); ++i) {
-    if (!(heights[i] > kSoil && heights[i] < kHighest)) continue;
-    const auto band = static_cast<std::size_t>(static_cast<double>(heights[i]) / kBand);
-    if (points.size() <= band) {
-      points.resize(band + 1U, 0.0);
-      neighbors.resize(band + 1U, 0.0);
+  // Whole numbers, whose sums do not depend on their order.
+  struct Band {
+    double points = 0.0;
+    double neighbors = 0.0;
+  };
+  constexpr std::size_t kPoints = 16384U;  // of a task
+  std::vector<std::vector<Band>> of_chunks(chunksOf(heights.size(), kPoints));
+  parallelChunks(heights.size(), kPoints, [&](std::size_t begin, std::size_t end) {
+    std::vector<Band>& bands = of_chunks[begin / kPoints];
+    for (std::size_t i = begin; i < end; ++i) {
+      if (!(heights[i] > kSoil && heights[i] < kHighest)) continue;
+      const auto band = static_cast<std::size_t>(static_cast<double>(heights[i]) / kBand);
+      if (bands.size() <= band) bands.resize(band + 1U);
+      bands[band].points += 1.0;
+      bands[band].neighbors += static_cast<double>(shapes[i].neighbors) - 1.0;  // itself is one
     }
-    points[band] += 1.0;
-    neighbors[band] += static_cast<double>(shapes[i].neighbors) - 1.0;  // itself is one
+  });
+  std::vector<Band> bands;
+  for (const std::vector<Band>& of_chunk : of_chunks) {
+    if (bands.size() < of_chunk.size()) bands.resize(of_chunk.size());
+    for (std::size_t band = 0; band < of_chunk.size(); ++band) {
+      bands[band].points += of_chunk[band].points;
+      bands[band].neighbors += of_chunk[band].neighbors;
+    }
   }
-  for (std::size_t band = 0; band < points.size(); ++band) {
-    bands_.push_back(points[band] < kLeastPoints ? 0.0 : neighbors[band] / points[band]);
+  for (const Band& band : bands) {
+    bands_.push_back(band.points < kLeastPoints ? 0.0 : band.neighbors / band.points);
   }
   const auto best = std::max_element(bands_.begin(), bands_.end());
   if (best == bands_.end() || !(*best > 0.0)) {

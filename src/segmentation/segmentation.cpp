@@ -8,6 +8,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/nearest_distances.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/crown_points.hpp"
 #include "field_phenotyping/segmentation/foot_points.hpp"
 #include "field_phenotyping/segmentation/found_twice.hpp"
@@ -28,16 +29,17 @@ namespace field_phenotyping {
 namespace {
 
 /// About how high the block's plants are; soil does not count, nor a few points above them.
-float canopyHeight(std::vector<float> heights) {
+float canopyHeight(const std::vector<float>& heights) {
   constexpr float kSoil = 0.05F;  // [m]
   constexpr float kShare = 0.98F;
-  heights.erase(std::remove_if(heights.begin(), heights.end(),
-                               [](float height) { return !(height > kSoil); }),
-                heights.end());
-  if (heights.empty()) return kSoil;
-  const auto high = heights.begin() +
-                    static_cast<std::ptrdiff_t>(kShare * static_cast<float>(heights.size() - 1U));
-  std::nth_element(heights.begin(), high, heights.end());
+  std::vector<float> of_plants = heights;
+  of_plants.erase(std::remove_if(of_plants.begin(), of_plants.end(),
+                                 [](float height) { return !(height > kSoil); }),
+                  of_plants.end());
+  if (of_plants.empty()) return kSoil;
+  const auto high = of_plants.begin() +
+                    static_cast<std::ptrdiff_t>(kShare * static_cast<float>(of_plants.size() - 1U));
+  std::nth_element(of_plants.begin(), high, of_plants.end());
   return *high;
 }
 
@@ -73,7 +75,8 @@ std::vector<std::int32_t> resolveOwners(const GrowthScene& scene,
 
 /// Whether each stem is a tiller or a leaf's, not a plant's: what belongs to it stays far below the
 /// stand, and it rises so near to a plant that nothing would have been sown there.
-std::vector<bool> findTillers(const GrowthScene& scene, const Block& block,
+/// @param point_heights of the block's points above the soil [m]
+std::vector<bool> findTillers(const Block& block, const std::vector<float>& point_heights,
                               const std::vector<GrownStem>& stems,
                               const std::vector<std::int32_t>& plant_owner) {
   constexpr std::size_t kLeastStems = 5U;  // that show how a stand grows
@@ -82,10 +85,10 @@ std::vector<bool> findTillers(const GrowthScene& scene, const Block& block,
   std::vector<bool> tillers(stems.size(), false);
   if (stems.size() < kLeastStems) return tillers;
   std::vector<float> heights(stems.size(), 0.0F);
-  for (std::size_t i = 0; i < scene.points.size(); ++i) {
+  for (std::size_t i = 0; i < point_heights.size(); ++i) {
     if (plant_owner[i] < 0) continue;
     float& height = heights[static_cast<std::size_t>(plant_owner[i])];
-    height = std::max(height, block.ground.heightAbove(scene.points[i]));
+    height = std::max(height, point_heights[i]);
   }
   const float low = kLow * medianOf(heights);
   std::vector<Eigen::Vector2d> bases;
@@ -157,16 +160,20 @@ SegmentedBlock assemble(const Block& block, const std::vector<GrownStem>& stems,
   }
   append(groups[none]);
 
-  out.cloud.reserveLike(block.cloud, out.source_index.size());
-  for (const std::uint32_t source : out.source_index) {
-    if (source < feet_begin) {
-      out.cloud.take(block.cloud, source);
-    } else if (source < isolated_begin) {
-      out.cloud.take(block.feet, source - feet_begin);
-    } else {
-      out.cloud.take(block.isolated, source - isolated_begin);
+  constexpr std::size_t kPoints = 16384U;  // of a task
+  out.cloud.resizeLike(block.cloud, out.source_index.size());
+  parallelChunks(out.source_index.size(), kPoints, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) {
+      const std::uint32_t source = out.source_index[k];
+      if (source < feet_begin) {
+        out.cloud.put(k, block.cloud, source);
+      } else if (source < isolated_begin) {
+        out.cloud.put(k, block.feet, source - feet_begin);
+      } else {
+        out.cloud.put(k, block.isolated, source - isolated_begin);
+      }
     }
-  }
+  });
   return out;
 }
 
@@ -204,10 +211,10 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const auto radius = static_cast<float>(parameters.seed_radius);
   if (parameters.seed_radius != wanted.seed_radius) grid = NeighborGrid(points, kCell * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius, device);
-  std::vector<float> heights = block.ground.heightsAbove(points);
+  const std::vector<float> heights = block.ground.heightsAbove(points);
   const SamplingProfile sampling(heights, shapes);
   const GrowthScene scene{points, shapes, grid};
-  const float plant_height = canopyHeight(std::move(heights));
+  const float plant_height = canopyHeight(heights);
   const StemSelection selection(block, grid, parameters);
 
   // Step 1: start points, and the stems that grow from them; where those are, and where they end.
@@ -233,7 +240,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
     top_stddevs = std::move(organs.top_stddev);
   };
   giveToPlants();
-  const std::vector<bool> tillers = findTillers(scene, block, stems, owners.plant);
+  const std::vector<bool> tillers = findTillers(block, heights, stems, owners.plant);
   if (std::find(tillers.begin(), tillers.end(), true) != tillers.end()) {
     std::vector<GrownStem> plants;
     for (std::size_t s = 0; s < stems.size(); ++s) {

@@ -4,7 +4,9 @@
 #include <cmath>
 #include <limits>
 
+#include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -27,11 +29,8 @@ std::vector<std::uint32_t> pointsAbove(const std::vector<Eigen::Vector3f>& point
   for (const StemAxis& axis : axes) {
     if (!axis.empty()) lowest = std::min(lowest, axis.nodes().back().position.z());
   }
-  std::vector<std::uint32_t> above;
-  for (std::uint32_t i = 0; i < points.size(); ++i) {
-    if (owner[i] < 0 && points[i].z() > lowest) above.push_back(i);
-  }
-  return above;
+  return indicesWhere(points.size(),
+                      [&](std::size_t i) { return owner[i] < 0 && points[i].z() > lowest; });
 }
 
 /// A straight bit of the organ.
@@ -142,17 +141,21 @@ std::vector<OrganEnd> followStemsUp(const Block& block, const std::vector<StemAx
   }
   const std::vector<std::uint32_t> above = pointsAbove(block.cloud.points, axes, owner);
   if (above.empty()) return ends;
-  std::vector<Eigen::Vector3f> points;
-  for (const std::uint32_t i : above) points.push_back(block.cloud.points[i]);
+  const std::vector<Eigen::Vector3f> points = valuesAt(block.cloud.points, above);
   std::vector<std::uint8_t> has_stem(axes.size(), 0U);
   for (const std::int32_t plant : owner) {
     if (plant >= 0) has_stem[static_cast<std::size_t>(plant)] = 1U;
   }
   const NeighborGrid grid(points, kReach);
   const float tube = tubeRadius(noise);
-  std::vector<float> least(points.size(), tube);  // [m] distance from the middle of the organ
-  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
-    if (has_stem[plant] == 0U) continue;
+  /// A point that may be of what carries on a plant's stem.
+  struct Claim {
+    std::uint32_t point;
+    float aside;  // [m] of the middle of the organ
+  };
+  std::vector<std::vector<Claim>> claims(axes.size());
+  parallelFor(axes.size(), [&](std::size_t plant) {
+    if (has_stem[plant] == 0U) return;
     const std::vector<Stretch> stretches = follow(points, grid, axes[plant], tube);
     if (!stretches.empty()) ends[plant] = endOf(stretches);
     for (const Stretch& stretch : stretches) {
@@ -162,10 +165,16 @@ std::vector<OrganEnd> followStemsUp(const Block& block, const std::vector<StemAx
         const float along = away.dot(stretch.direction);
         if (std::abs(along) > 0.6F * kStep) return;
         const float aside = (away - along * stretch.direction).norm();
-        if (aside >= least[i]) return;
-        least[i] = aside;
-        owner[above[i]] = static_cast<std::int32_t>(plant);
+        if (aside < tube) claims[plant].push_back({i, aside});
       });
+    }
+  });
+  std::vector<float> least(points.size(), tube);
+  for (std::size_t plant = 0; plant < axes.size(); ++plant) {
+    for (const Claim& claim : claims[plant]) {
+      if (claim.aside >= least[claim.point]) continue;
+      least[claim.point] = claim.aside;
+      owner[above[claim.point]] = static_cast<std::int32_t>(plant);
     }
   }
   return ends;

@@ -4,10 +4,12 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <utility>
 
 #include "field_phenotyping/common/key_map.hpp"
 #include "field_phenotyping/common/parallel.hpp"
+#include "field_phenotyping/common/partitioned.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -52,29 +54,28 @@ std::vector<std::vector<std::uint32_t>> collectVoters(const Block& block,
                                                       const SegmentationParameters& p,
                                                       SeedEvidence evidence,
                                                       const std::vector<std::uint8_t>& explained) {
-  constexpr std::uint32_t kMostSlabs = 2000U;
-  std::vector<std::uint32_t> slab_of(block.cloud.size(), kMostSlabs);  // and of all others
-  constexpr std::size_t kChunk = 8192U;
-  parallelChunks(slab_of.size(), kChunk, [&](std::size_t begin, std::size_t end) {
-    for (std::size_t i = begin; i < end; ++i) {
-      if (!explained.empty() && explained[i] != 0U) continue;
-      if (evidence == SeedEvidence::kUpright && !(upright[i] > 0.0F)) continue;
-      const float height = block.ground.heightAbove(block.cloud.points[i]);
-      if (height < static_cast<float>(p.seed_min_height)) continue;
-      const float slab =
-          (height - static_cast<float>(p.seed_min_height)) / static_cast<float>(p.seed_slab);
-      if (slab < static_cast<float>(kMostSlabs)) slab_of[i] = static_cast<std::uint32_t>(slab);
-    }
-  });
-  std::vector<std::size_t> counts(kMostSlabs + 1U, 0U);
-  for (const std::uint32_t slab : slab_of) ++counts[slab];
+  constexpr std::size_t kMostSlabs = 2000U;
+  const auto slabOf = [&](std::size_t i) -> std::size_t {
+    if (!explained.empty() && explained[i] != 0U) return kMostSlabs;
+    if (evidence == SeedEvidence::kUpright && !(upright[i] > 0.0F)) return kMostSlabs;
+    const float height = block.ground.heightAbove(block.cloud.points[i]);
+    if (height < static_cast<float>(p.seed_min_height)) return kMostSlabs;
+    const float slab =
+        (height - static_cast<float>(p.seed_min_height)) / static_cast<float>(p.seed_slab);
+    return slab < static_cast<float>(kMostSlabs) ? static_cast<std::size_t>(slab) : kMostSlabs;
+  };
+  const Partitioned<std::uint32_t> by_slab(
+      block.cloud.size(), kMostSlabs + 1U,  // and all others
+      [&](std::size_t begin, std::size_t end, const auto& give) {
+        for (std::size_t i = begin; i < end; ++i) give(slabOf(i), static_cast<std::uint32_t>(i));
+      });
   std::size_t slabs = kMostSlabs;
-  while (slabs > 0U && counts[slabs - 1U] == 0U) --slabs;
+  while (slabs > 0U && by_slab.sizeOf(slabs - 1U) == 0U) --slabs;
   std::vector<std::vector<std::uint32_t>> voters(slabs);
-  for (std::size_t slab = 0; slab < slabs; ++slab) voters[slab].reserve(counts[slab]);
-  for (std::uint32_t i = 0; i < slab_of.size(); ++i) {
-    if (slab_of[i] < kMostSlabs) voters[slab_of[i]].push_back(i);
-  }
+  parallelFor(slabs, [&](std::size_t slab) {
+    voters[slab].reserve(by_slab.sizeOf(slab));
+    by_slab.forEachOf(slab, [&](std::uint32_t i) { voters[slab].push_back(i); });
+  });
   return voters;
 }
 
@@ -266,16 +267,22 @@ class Chains {
       : clusters_(clusters),
         links_(links),
         score_(clusters.size(), 0.0F),
-        below_(clusters.size(), kNone) {
+        below_(clusters.size(), kNone),
+        unused_(clusters.size()),
+        changed_(clusters.size(), 0U) {
+    std::iota(unused_.begin(), unused_.end(), std::size_t{0});
     for (std::size_t high = 0; high < clusters.size(); ++high) extendTo(high);
   }
 
   /// The chain of unused clusters with the most evidence.
   Chain best() {
-    dropUsed();
+    unused_.erase(std::remove_if(unused_.begin(), unused_.end(),
+                                 [&](std::size_t c) { return clusters_[c].used; }),
+                  unused_.end());
+    ++round_;
     std::size_t best = kNone;
-    for (std::size_t high = 0; high < clusters_.size(); ++high) {
-      if (clusters_[high].used) continue;
+    for (const std::size_t high : unused_) {
+      leaveUsed(high);
       if (best == kNone || score_[high] > score_[best]) best = high;
     }
     Chain chain;
@@ -302,22 +309,22 @@ class Chains {
     score_[high] = clusters_[high].evidence + gain;
   }
 
-  /// Extends anew the chains that lead through clusters used since. Others only lost worse ways.
-  void dropUsed() {
-    std::vector<std::uint8_t> changed(clusters_.size(), 0U);
-    for (std::size_t high = 0; high < clusters_.size(); ++high) {
-      const std::size_t low = below_[high];
-      if (clusters_[high].used || low == kNone) continue;
-      if (!clusters_[low].used && changed[low] == 0U) continue;
-      extendTo(high);
-      changed[high] = 1U;
-    }
+  /// Extends the chain that ends in a cluster anew if it leads through clusters used since. Others
+  /// only lost worse ways.
+  void leaveUsed(std::size_t high) {
+    const std::size_t low = below_[high];
+    if (low == kNone || (!clusters_[low].used && changed_[low] != round_)) return;
+    extendTo(high);
+    changed_[high] = round_;
   }
 
   const std::vector<Cluster>& clusters_;
   const std::vector<std::vector<Link>>& links_;
   std::vector<float> score_;
   std::vector<std::size_t> below_;
+  std::vector<std::size_t> unused_;     // ascending
+  std::vector<std::uint32_t> changed_;  // round of best() in which each was extended anew
+  std::uint32_t round_ = 0U;
 };
 
 /// Draws the seeds that stray on to leaves back to the stem's own gentle curve: a parabola over the
@@ -394,7 +401,13 @@ std::vector<StemSeeds> findStemSeeds(const Block& block, const std::vector<Local
     return {point, direction.head<2>() / direction.z(), upright[i]};
   };
   std::vector<std::vector<Cluster>> of_slab(voters.size());
-  parallelFor(voters.size(), [&](std::size_t slab) {
+  std::vector<std::size_t> fullest_first(voters.size());  // which take the longest
+  std::iota(fullest_first.begin(), fullest_first.end(), 0U);
+  std::stable_sort(fullest_first.begin(), fullest_first.end(), [&](std::size_t a, std::size_t b) {
+    return voters[a].size() > voters[b].size();
+  });
+  parallelFor(voters.size(), [&](std::size_t k) {
+    const std::size_t slab = fullest_first[k];
     clusterSlab(voters[slab], voteOf, static_cast<int>(slab), max_stem_radius, of_slab[slab]);
   });
   std::vector<Cluster> clusters;

@@ -203,17 +203,32 @@ std::vector<std::size_t> distinctStems(const std::vector<StemCandidate>& candida
 
 }  // namespace
 
+void Canopy::Column::add(const Column& other) {
+  height = std::max(height, other.height);
+  if (other.counts.size() > counts.size()) counts.resize(other.counts.size(), 0U);
+  for (std::size_t k = 0; k < other.counts.size(); ++k) counts[k] += other.counts[k];
+}
+
 Canopy::Canopy(const Block& block) : ground_(block.ground) {
-  auto at = columns_.end();  // most points follow another one of their column
-  for (const Eigen::Vector3f& point : block.cloud.points) {
-    const float height = ground_.heightAbove(point);
-    const std::pair<int, int> place = columnOf(point);
-    if (at == columns_.end() || at->first != place) at = columns_.try_emplace(place).first;
-    Column& column = at->second;
-    column.height = std::max(column.height, height);
-    const std::size_t layer = layerOf(height);
-    if (layer >= column.counts.size()) column.counts.resize(layer + 1U, 0U);
-    ++column.counts[layer];
+  const std::vector<Eigen::Vector3f>& points = block.cloud.points;
+  constexpr std::size_t kPoints = 16384U;  // of a task
+  std::vector<Columns> of_chunks(chunksOf(points.size(), kPoints));
+  parallelChunks(points.size(), kPoints, [&](std::size_t begin, std::size_t end) {
+    Columns& columns = of_chunks[begin / kPoints];
+    auto at = columns.end();  // most points follow another one of their column
+    for (std::size_t i = begin; i < end; ++i) {
+      const float height = ground_.heightAbove(points[i]);
+      const std::pair<int, int> place = columnOf(points[i]);
+      if (at == columns.end() || at->first != place) at = columns.try_emplace(place).first;
+      Column& column = at->second;
+      column.height = std::max(column.height, height);
+      const std::size_t layer = layerOf(height);
+      if (layer >= column.counts.size()) column.counts.resize(layer + 1U, 0U);
+      ++column.counts[layer];
+    }
+  });
+  for (const Columns& columns : of_chunks) {
+    for (const auto& [place, column] : columns) columns_[place].add(column);
   }
 }
 
@@ -235,11 +250,9 @@ float Canopy::heightAround(const Eigen::Vector3f& point) const {
 }
 
 float Canopy::lightAround(const Eigen::Vector3f& point) const {
-  std::vector<std::uint32_t> counts;
-  forEachAround(point, [&](const Column& column) {
-    if (column.counts.size() > counts.size()) counts.resize(column.counts.size(), 0U);
-    for (std::size_t k = 0; k < column.counts.size(); ++k) counts[k] += column.counts[k];
-  });
+  Column all;
+  forEachAround(point, [&](const Column& column) { all.add(column); });
+  const std::vector<std::uint32_t>& counts = all.counts;
   const std::size_t layer = layerOf(ground_.heightAbove(point));
   if (layer >= counts.size()) return 1.0F;
   constexpr float kLit = 0.03F;  // of the fullest layer: bare stems give no more

@@ -49,6 +49,21 @@ struct PointCloud {
     if (from.hasScanOrigins()) scan_origin.push_back(from.scan_origin[i]);
   }
 
+  /// Gives it so many points, each of which is then put() from a cloud like `from`.
+  void resizeLike(const PointCloud& from, std::size_t count) {
+    points.resize(count);
+    if (from.hasColors()) colors.resize(count);
+    if (from.hasScanOrigins()) scan_origin.resize(count);
+  }
+
+  /// Makes point `at` point `i` of a cloud in the same frame, with what that one knows of it. For
+  /// several threads at once, each its own points.
+  void put(std::size_t at, const PointCloud& from, std::size_t i) {
+    points[at] = from.points[i];
+    if (from.hasColors()) colors[at] = from.colors[i];
+    if (from.hasScanOrigins()) scan_origin[at] = from.scan_origin[i];
+  }
+
   /// Position of point `i` in the map frame [m].
   Eigen::Vector3d mapPoint(std::size_t i) const { return origin + points[i].cast<double>(); }
 };

@@ -28,12 +28,16 @@ class Canopy {
   struct Column {
     float height = 0.0F;
     std::vector<std::uint32_t> counts;  // by height above the soil
+
+    void add(const Column& other);
   };
+  using Columns = std::map<std::pair<int, int>, Column>;
+
   template <class Visit>
   void forEachAround(const Eigen::Vector3f& point, Visit&& visit) const;
 
   const GroundModel& ground_;
-  std::map<std::pair<int, int>, Column> columns_;
+  Columns columns_;
 };
 
 /// A grown stem that may be a leaf, a weed, or a plant that another candidate has found as well.
