@@ -140,7 +140,8 @@ struct OverloadLimits {
 };
 
 /// Works blocks one after another on a thread of its own, so that callbacks return at once. A newer
-/// revision takes the place of one of the same pass that still waits: no block is worked in vain.
+/// revision takes the place of one of the same pass that still waits, and one that comes later than
+/// a newer one that still waits or is at work is left out: no block is worked in vain.
 ///
 /// Drafts, and blocks of which nothing has been worked in their pass, go first, for they give
 /// plants their first values, then final ones, then updates, each in the order in which they came.
@@ -162,7 +163,7 @@ class BlockWorker {
   };
   /// What became of a block that came.
   struct Arrival {
-    bool replaced = false;     ///< an older revision that still waited
+    bool replaced = false;     ///< an older revision, that still waited or this one
     std::size_t dropped = 0U;  ///< blocks that waited, or this one
   };
 
@@ -209,6 +210,10 @@ class BlockWorker {
     Arrival arrival;
     {
       const std::lock_guard<std::mutex> lock(mutex_);
+      if (isLate(*block)) {
+        arrival.replaced = true;
+        return arrival;
+      }
       history_.add(block);
       arrival.replaced = enqueue(block);
       arrival.dropped = dropExcess();
@@ -254,6 +259,24 @@ class BlockWorker {
 
   /// What a block is worked for; the first goes first.
   enum class Rank { kFirstValues, kLastValues, kUpdate };
+
+  /// Whether newer revisions of all its tiles, in the same pass, wait or are at work.
+  bool isLate(const T& block) const {
+    const std::vector<BlockHeader> tiles = tilesOf(block);
+    const auto is_newer = [](const T& other, const BlockHeader& tile) {
+      const std::vector<BlockHeader> others = tilesOf(other);
+      return std::any_of(others.begin(), others.end(), [&](const BlockHeader& known) {
+        return known.index == tile.index && known.began_ns == tile.began_ns &&
+               known.revision > tile.revision;
+      });
+    };
+    return std::all_of(tiles.begin(), tiles.end(), [&](const BlockHeader& tile) {
+      return std::any_of(waiting_.begin(), waiting_.end(),
+                         [&](const Task& task) { return is_newer(*task.block, tile); }) ||
+             std::any_of(at_work_.begin(), at_work_.end(),
+                         [&](const Pointer& other) { return is_newer(*other, tile); });
+    });
+  }
 
   /// @return whether it takes the place of others
   bool enqueue(const Pointer& block) {

@@ -19,8 +19,11 @@ std::string journalOf(const ros::NodeHandle& pnh) {
   return pnh.param<std::string>("journal", "");
 }
 
+/// Obeyed once: a nodelet that starts again goes on.
 bool beginsAnew(const ros::NodeHandle& pnh) {
-  return pnh.param("new_journal", false);
+  if (!pnh.param("new_journal", false)) return false;
+  pnh.setParam("new_journal", false);
+  return true;
 }
 
 }  // namespace

@@ -22,7 +22,8 @@ namespace field_phenotyping {
 /// `health` says so, and reports wait in memory until it can. Not thread-safe.
 class DurableTable {
  public:
-  /// With `~new_journal` an older journal is moved aside and a new one begun.
+  /// With `~new_journal`, which is set to false then, an older journal is moved aside and a new one
+  /// begun.
   DurableTable(const ros::NodeHandle& pnh, StageHealth& health);
 
   PlantTable::Change update(const BlockHeader& header, const std::vector<Phenotype>& plants);
@@ -54,7 +55,8 @@ class DurableTable {
   bool begun_ = false;               // reports were made, so an older journal comes too late
 };
 
-/// Names plants as an earlier run did, whose journal is `~journal`.
+/// Names plants as an earlier run did, whose journal is `~journal`; with `~new_journal`, which is
+/// set to false then, anew.
 void restorePlants(const ros::NodeHandle& pnh, StageHealth& health, PlantRegistry& registry);
 
 }  // namespace field_phenotyping

@@ -19,6 +19,7 @@ constexpr std::size_t kFruitlessBlocks = 3U;
 constexpr double kSparse = 200.0;
 // Last reports that are kept to be put right: a rover that has left them by more is elsewhere.
 constexpr std::size_t kMostProvisional = 8U;
+const char* const kOvertaken = "revisions overtaken by newer ones";
 
 }  // namespace
 
@@ -44,6 +45,13 @@ SegmentationStage::~SegmentationStage() {
 
 std::vector<SegmentationStage::Stage::OutputPtr> SegmentationStage::work(
     const Block& block, const SegmentationParameters& parameters) {
+  const NamedRevisions::Work at_work(revisions_);
+  const std::vector<BlockHeader> headers = block.tiles();
+  const auto overtaken = [this](const BlockHeader& tile) { return revisions_.isOvertaken(tile); };
+  if (std::all_of(headers.begin(), headers.end(), overtaken)) {
+    stage_.health().count(kOvertaken, headers.size());
+    return {};
+  }
   std::vector<SegmentedBlock> tiles =
       splitIntoTiles(segmentBlock(block, parameters, stage_.device()), block.joined);
   const std::lock_guard<std::mutex> lock(mutex_);
@@ -51,10 +59,11 @@ std::vector<SegmentationStage::Stage::OutputPtr> SegmentationStage::work(
   std::vector<Stage::OutputPtr> outputs;
   std::size_t plants = 0U;
   for (SegmentedBlock& tile : tiles) {
-    if (isOvertaken(tile.header)) {
-      stage_.health().count("revisions overtaken by newer ones");
+    if (overtaken(tile.header)) {  // by one that was beside it
+      stage_.health().count(kOvertaken);
       continue;
     }
+    revisions_.name(tile.header);
     const auto segmented = boost::make_shared<SegmentedBlock>(std::move(tile));
     const PlantRegistry::Outcome outcome = registry_.identify(*segmented);
     stage_.health().show("map shift since the last pass [m]", outcome.shift.norm());
@@ -106,15 +115,6 @@ boost::shared_ptr<const SegmentedBlock> SegmentationStage::takeBack(
     return revised;
   }
   return nullptr;
-}
-
-/// Whether a newer revision, a draft beside this one, has been named meanwhile.
-bool SegmentationStage::isOvertaken(const BlockHeader& header) {
-  NewestNamed& newest = newest_[header.index];
-  if (newest.began_ns == header.began_ns && newest.revision > header.revision) return true;
-  newest = {header.began_ns, header.revision};
-  if (header.final) newest_.erase(header.index);
-  return false;
 }
 
 /// @param plants of all its tiles

@@ -5,9 +5,7 @@
 
 #include <boost/shared_ptr.hpp>
 #include <cstddef>
-#include <cstdint>
 #include <deque>
-#include <map>
 #include <mutex>
 #include <string>
 #include <vector>
@@ -16,6 +14,7 @@
 #include "display_topic.hpp"
 #include "field_phenotyping/parameters.hpp"
 #include "field_phenotyping/segmentation/plant_registry.hpp"
+#include "named_revisions.hpp"
 
 namespace field_phenotyping {
 
@@ -38,14 +37,7 @@ class SegmentationStage {
     double area = 0.0;                ///< [m^2]
   };
 
-  /// Revision of an open block, in its pass.
-  struct NewestNamed {
-    std::uint64_t began_ns = 0U;
-    std::uint32_t revision = 0U;
-  };
-
   std::vector<Stage::OutputPtr> work(const Block& block, const SegmentationParameters& parameters);
-  bool isOvertaken(const BlockHeader& header);
   void keepProvisional(const boost::shared_ptr<const SegmentedBlock>& block, std::size_t ids);
   boost::shared_ptr<const SegmentedBlock> takeBack(const PlantRegistry::TakenBack& wrong);
   void noteOutcome(const Block& block, std::size_t plants,
@@ -53,8 +45,8 @@ class SegmentationStage {
   std::string whyNoPlant(const SegmentationParameters& parameters) const;
 
   Stage stage_;
+  NamedRevisions revisions_;
   std::mutex mutex_;  // of all below
-  std::map<BlockIndex, NewestNamed> newest_;
   PlantRegistry registry_;
   /// Last reports with ids that may be taken back, the oldest first.
   std::deque<boost::shared_ptr<const SegmentedBlock>> provisional_;

@@ -19,8 +19,8 @@ namespace {
 
 thread_local bool is_urgent = false;
 
-/// How many threads do urgent work.
-class UrgentThreads {
+/// How many urgent calls of parallelFor() are under way.
+class UrgentCalls {
  public:
   void enter() {
     const std::lock_guard<std::mutex> lock(mutex_);
@@ -46,10 +46,19 @@ class UrgentThreads {
 };
 
 /// Never taken down: threads may still be in it when the process ends.
-UrgentThreads& urgentThreads() {
-  static UrgentThreads* const threads = new UrgentThreads();
-  return *threads;
+UrgentCalls& urgentCalls() {
+  static UrgentCalls* const calls = new UrgentCalls();
+  return *calls;
 }
+
+/// One of them, however it ends.
+class UrgentCall {
+ public:
+  UrgentCall() { urgentCalls().enter(); }
+  ~UrgentCall() { urgentCalls().leave(); }
+  UrgentCall(const UrgentCall&) = delete;
+  UrgentCall& operator=(const UrgentCall&) = delete;
+};
 
 /// Of TBB's own threads, which leave for urgent work by themselves between two tasks.
 bool isHelper() {
@@ -84,9 +93,11 @@ bool hasTaskLibrary() {
 
 void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task) {
   const std::function<void(std::size_t)> considerate = [&](std::size_t i) {
-    if (!isHelper()) urgentThreads().giveWay();
+    if (!isHelper()) urgentCalls().giveWay();
     task(i);
   };
+  std::optional<UrgentCall> call;
+  if (is_urgent) call.emplace();
   const auto& chosen = is_urgent ? task : considerate;
   const auto run = [&] { tbb::parallel_for(std::size_t{0}, count, chosen); };
   tbb::task_arena* arena = limited.load();
@@ -113,11 +124,9 @@ ThreadLimit::ThreadLimit(int threads) : impl_(new Impl(threads)) {}
 
 UrgentWork::UrgentWork() : outer_(is_urgent) {
   is_urgent = true;
-  urgentThreads().enter();
 }
 
 UrgentWork::~UrgentWork() {
-  urgentThreads().leave();
   is_urgent = outer_;
 }
 

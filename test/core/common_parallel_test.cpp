@@ -135,24 +135,43 @@ TEST(UrgentWork, IsHelpedWhileOthersHaveWork) {
   EXPECT_EQ(met, kRounds);
 }
 
-TEST(UrgentWork, OthersGiveWayButGoOn) {
-  const ThreadLimit limit(1);  // nobody helps
-  constexpr std::size_t kTasks = 5U;
-  std::size_t runs = 0U;
-  const auto work = [&] { parallelFor(kTasks, [&](std::size_t) { ++runs; }); };
-  const auto secondsOf = [](const auto& call) {
+/// How long a thread without urgent work takes for so many tasks that it does itself [s].
+double secondsOfAnother(std::size_t tasks) {
+  double seconds = 0.0;
+  std::thread other([&] {
     const auto begin = std::chrono::steady_clock::now();
-    call();
-    return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-  };
-  const double pause = std::chrono::duration<double>(UrgentWork::kGivesWay).count();
-  const UrgentWork urgent;
-  EXPECT_LT(secondsOf(work), pause) << "urgent work waits for nobody";
-  double gave_way = 0.0;
-  std::thread other([&] { gave_way = secondsOf(work); });
+    for (std::size_t k = 0; k < tasks; ++k) parallelFor(1U, [](std::size_t) {});
+    seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  });
   other.join();
-  EXPECT_GE(gave_way, static_cast<double>(kTasks) * pause);
-  EXPECT_EQ(runs, 2U * kTasks);
+  return seconds;
+}
+
+TEST(UrgentWork, OthersGiveWayToItsTasksButGoOn) {
+  constexpr std::size_t kTasks = 20U;
+  const double all_pauses =
+      static_cast<double>(kTasks) * std::chrono::duration<double>(UrgentWork::kGivesWay).count();
+  const UrgentWork urgent;
+  double gave_way = 0.0;
+  parallelFor(1U, [&](std::size_t) { gave_way = secondsOfAnother(kTasks); });
+  EXPECT_GE(gave_way, all_pauses);
+  EXPECT_LT(secondsOfAnother(kTasks), 0.5 * all_pauses) << "between them nobody needs to wait";
+  EXPECT_THROW(parallelFor(1U, [](std::size_t) { throw std::runtime_error("task failed"); }),
+               std::runtime_error);
+  EXPECT_LT(secondsOfAnother(kTasks), 0.5 * all_pauses) << "nor after one that has failed";
+}
+
+TEST(UrgentWork, WaitsForNobody) {
+  constexpr std::size_t kTasks = 20U;
+  const double all_pauses =
+      static_cast<double>(kTasks) * std::chrono::duration<double>(UrgentWork::kGivesWay).count();
+  const UrgentWork urgent;
+  const auto begin = std::chrono::steady_clock::now();
+  parallelFor(1U, [](std::size_t) {
+    for (std::size_t k = 0; k < kTasks; ++k) parallelFor(1U, [](std::size_t) {});
+  });
+  EXPECT_LT(std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count(),
+            0.5 * all_pauses);
 }
 
 }  // namespace

@@ -43,13 +43,14 @@ class SlowWorker {
 
   BlockWorker<Block>::Arrival push(int x, std::uint64_t second, bool final,
                                    std::size_t points = 10U, std::uint64_t began = 0U,
-                                   bool draft = false) {
+                                   bool draft = false, std::uint32_t revision = 0U) {
     const auto block = boost::make_shared<Block>();
     block->header.draft = draft;
     block->header.index = {x, 0};
     block->header.began_ns = kBegan + began * kSecond;
     block->header.stamp_ns = kBegan + second * kSecond;
     block->header.final = final;
+    block->header.revision = revision;
     block->cloud.points.resize(points, Eigen::Vector3f::Zero());
     return worker_->push(block);
   }
@@ -70,6 +71,11 @@ class SlowWorker {
 
   BlockWorker<Block>::Arrival pushDraft(int x, std::uint64_t second, std::uint64_t began = 0U) {
     return push(x, second, false, 10U, began, true);
+  }
+
+  BlockWorker<Block>::Arrival pushRevision(int x, std::uint32_t revision, bool draft,
+                                           std::uint64_t began = 0U) {
+    return push(x, began + revision, !draft, 10U, began, draft, revision);
   }
 
   /// Whether it begins to work on a block soon.
@@ -167,6 +173,22 @@ TEST(BlockWorker, ADraftIsReplacedByNewerDraftsAndFinalBlocksOnly) {
   other.pushDraft(100, 1U);
   EXPECT_TRUE(other.push(100, 2U, true).replaced);
   EXPECT_EQ(other.finishAll(), (std::vector<int>{100}));
+}
+
+TEST(BlockWorker, ADraftThatIsLaterThanANewerRevisionIsNotWorked) {
+  SlowWorker worker(kNever, BlockWorker<Block>::Drafts::kBeside);
+  worker.pushRevision(1, 2U, false);
+  const auto late = worker.pushRevision(1, 1U, true);
+  EXPECT_TRUE(late.replaced) << "a newer one waits";
+  EXPECT_EQ(late.dropped, 0U);
+  EXPECT_EQ(worker.waiting(), 1U);
+  EXPECT_FALSE(worker.pushRevision(1, 1U, true, 1000U).replaced) << "another pass";
+  worker.pushRevision(2, 1U, true);
+  EXPECT_TRUE(worker.hasBegun(2));
+  EXPECT_TRUE(worker.pushRevision(2, 0U, true).replaced) << "a newer one is at work";
+  std::vector<int> worked = worker.finishAll();
+  std::sort(worked.begin(), worked.end());
+  EXPECT_EQ(worked, (std::vector<int>{1, 1, 2}));
 }
 
 TEST(BlockWorker, JoinedTilesReplaceWhatWaitsOfEachOfThem) {

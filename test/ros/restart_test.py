@@ -79,7 +79,7 @@ class RestartTest(unittest.TestCase):
         self.processes = []
         for command in (
                 ["roslaunch", "-p", self.master.rsplit(":", 1)[1], "field_phenotyping",
-                 "field_phenotyping.launch", "respawn:=true",
+                 "field_phenotyping.launch", "respawn:=true", "new_journal:=true",
                  "output:=" + os.path.dirname(self.journal)],
                 ["rosbag", "play", "--quiet", "--wait-for-subscribers", self.bag]):
             self.processes.append(subprocess.Popen(
@@ -108,15 +108,16 @@ class RestartTest(unittest.TestCase):
                 now = len(reported(self.journal))
                 wait_until(lambda: len(reported(self.journal)) > now, 10.0)
             time.sleep(chance.uniform(0.0, 1.5))
-            before = set(row[0] for row in reported(self.journal))
+            before = reported(self.journal)
             victim = manager_pid(self.master)
             self.assertIsNotNone(victim, "it died by itself: " + self.said()[-3000:])
             os.kill(victim, signal.SIGKILL)
-            self.assertLessEqual(before, set(row[0] for row in reported(self.journal)))
+            self.assertEqual(reported(self.journal)[:len(before)], before)
         now = len(reported(self.journal))
         self.assertTrue(wait_until(lambda: len(reported(self.journal)) > now, 60.0), self.said())
         self.processes[-1].wait(600)
         time.sleep(5.0)  # the last blocks are final
+        self.assertEqual(reported(self.journal)[:len(before)], before, "the journal was begun anew")
         ids = collections.defaultdict(set)
         for plant_id, x, y in reported(self.journal):
             offs = [math.hypot(x - t[0], y - t[1]) for t in self.truth]

@@ -43,9 +43,9 @@ class ThreadLimit {
 
 /// While it lives, other threads help with what this thread calls parallelFor() for before they
 /// help with what threads without one call it for, and those give way: before each of their tasks
-/// they wait until no urgent work is left, kGivesWay at most, so that they go on all the same where
-/// there always is some. Where the task library knows no priorities (before oneTBB 2021) threads
-/// help with both.
+/// they wait until no urgent call is under way, kGivesWay at most, so that they go on all the same
+/// where there always is one. Where the task library knows no priorities (before oneTBB 2021)
+/// threads help with both.
 class UrgentWork {
  public:
   static constexpr std::chrono::milliseconds kGivesWay{10};
