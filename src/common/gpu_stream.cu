@@ -174,9 +174,13 @@ const std::string& GpuStreams::deviceName() const {
 GpuStream& GpuStreams::take() {
   std::unique_lock<std::mutex> lock(impl_->mutex);
   impl_->one_is_free.wait(lock, [&] { return !impl_->free.empty(); });
-  GpuStream* stream = impl_->free.back();
+  // That with the most memory, so that large steps come to the same ones again and again.
+  const auto largest = std::max_element(
+      impl_->free.begin(), impl_->free.end(),
+      [](const GpuStream* a, const GpuStream* b) { return a->held() < b->held(); });
+  GpuStream* stream = *largest;
   stream->enter();
-  impl_->free.pop_back();
+  impl_->free.erase(largest);
   return *stream;
 }
 

@@ -96,6 +96,9 @@ class GpuStream {
   /// Waits for all that was asked of this stream. @throws GpuError when any of it failed
   void wait();
 
+  /// Memory that it has, used or not [bytes].
+  std::size_t held() const { return device_.held() + pinned_.held(); }
+
   /// Makes the calling thread use this stream's device.
   void enter();
   /// Waits, whatever has failed, and takes all memory back.

@@ -39,8 +39,9 @@ class OwnedMemory {
 };
 
 /// Memory that is handed out in pieces and taken back all at once, for the next block to use again.
-/// It keeps what the largest block so far needed. At most `limit` bytes are handed out; while a
-/// block needs more than all before it, up to twice as much is held. Not thread-safe.
+/// It keeps what the largest block so far needed, and half as much again. At most `limit` bytes are
+/// handed out; while a block needs more than all before it, up to twice as much is held. Not
+/// thread-safe.
 template <class Memory>
 class ScratchPool {
  public:
@@ -75,9 +76,10 @@ class ScratchPool {
     used_ = 0U;
     held_before_ = 0U;
     if (pieces_.size() <= 1U) return;
-    // One piece, as large as was needed, from now on.
+    // One piece from now on, with room for a block that needs some more: all wait while one
+    // allocates.
     pieces_.clear();
-    pieces_.emplace_back(needed);
+    pieces_.emplace_back(std::min(needed + needed / 2U, limit_));
   }
   /// Gives the memory itself back.
   void clear() {
