@@ -200,6 +200,8 @@ TEST_F(Chain, KeepsItsPlantsWhenTimeGoesBack) {
 }
 
 TEST_F(Chain, CanBeUnloadedAndLoadedAgain) {
+  ASSERT_TRUE(client_->waitFor([] { return client_->foundEveryPlant(); }, 40.0));
+  const std::vector<Phenotype> before = client_->plants();
   client_->driveBy(5);  // so that there is something at work
   EXPECT_TRUE(loader_->unload("/field_phenotyping/segmentation"));
   client_->driveBy(2);
@@ -207,8 +209,14 @@ TEST_F(Chain, CanBeUnloadedAndLoadedAgain) {
       "/field_phenotyping/segmentation", "field_phenotyping/Segmentation",
       {{"/field_phenotyping/segmentation/input", "/field_phenotyping/preprocessing/output"}}, {}));
   client_->forgetPlants();
-  client_->driveBy(20);
+  client_->driveBy(20, Eigen::Vector3d::Zero(), true);  // so that it sees them in another order
   EXPECT_TRUE(client_->waitFor([] { return client_->foundEveryPlant(); }, 40.0));
+  for (const Phenotype& plant : client_->plants()) {
+    const bool known = std::any_of(before.begin(), before.end(), [&](const Phenotype& other) {
+      return other.id == plant.id && (other.base - plant.base).norm() < 0.05;
+    });
+    EXPECT_TRUE(known) << plant.id;
+  }
 }
 
 }  // namespace
