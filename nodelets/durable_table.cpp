@@ -1,6 +1,8 @@
 #include "durable_table.hpp"
 
 #include <filesystem>
+#include <map>
+#include <mutex>
 #include <set>
 #include <utility>
 
@@ -136,14 +138,23 @@ void DurableTable::write() {
   health_.show("reports waiting for the journal", static_cast<double>(waiting_.size()));
 }
 
-void restorePlants(const ros::NodeHandle& pnh, StageHealth& health, PlantRegistry& registry) {
+std::shared_ptr<PlantRegistry> registryFor(const ros::NodeHandle& pnh, StageHealth& health) {
+  using Key = std::pair<std::string, std::string>;
+  static std::mutex mutex;
+  static std::map<Key, std::shared_ptr<PlantRegistry>> registries;  // of this process
   const std::string path = journalOf(pnh);
-  if (path.empty() || beginsAnew(pnh) || !std::filesystem::exists(path)) return;
+  const bool anew = beginsAnew(pnh);
+  const std::lock_guard<std::mutex> lock(mutex);
+  std::shared_ptr<PlantRegistry>& registry = registries[{pnh.getNamespace(), path}];
+  if (registry && !anew) return registry;
+  registry = std::make_shared<PlantRegistry>();
+  if (path.empty() || anew || !std::filesystem::exists(path)) return registry;
   try {
-    registry.restore(PhenotypeJournal(path, PhenotypeJournal::Access::kRead).knownPlants());
+    registry->restore(PhenotypeJournal(path, PhenotypeJournal::Access::kRead).knownPlants());
   } catch (const JournalError& error) {
     health.trouble("journal", std::string(error.what()) + ". Plants of earlier runs get new ids");
   }
+  return registry;
 }
 
 }  // namespace field_phenotyping

@@ -55,8 +55,9 @@ class DurableTable {
   bool begun_ = false;               // reports were made, so an older journal comes too late
 };
 
-/// Names plants as an earlier run did, whose journal is `~journal`; with `~new_journal`, which is
-/// set to false then, anew.
-void restorePlants(const ros::NodeHandle& pnh, StageHealth& health, PlantRegistry& registry);
+/// Who names plants: as an earlier run did, whose journal is `~journal`; with `~new_journal`, which
+/// is set to false then, anew. A nodelet that starts again while its manager stays gets what its
+/// predecessor had, for reports that are still under way to the journal hold names too.
+std::shared_ptr<PlantRegistry> registryFor(const ros::NodeHandle& pnh, StageHealth& health);
 
 }  // namespace field_phenotyping

@@ -26,10 +26,10 @@ const char* const kOvertaken = "revisions overtaken by newer ones";
 SegmentationStage::SegmentationStage(ros::NodeHandle nh, ros::NodeHandle pnh,
                                      const std::string& name)
     : stage_(nh, pnh, name),
+      registry_(registryFor(stage_.privateHandle(), stage_.health())),
       done_(historyOf(pnh)),
       stems_(stage_.privateHandle(), "stems", addStems),
       plants_(stage_.privateHandle(), "plants", addPlants) {
-  restorePlants(stage_.privateHandle(), stage_.health(), registry_);
   stage_.start([this](const auto& block, const auto& p) { return work(*block, p); },
                [this] {
                  const std::lock_guard<std::mutex> lock(mutex_);
@@ -65,7 +65,7 @@ std::vector<SegmentationStage::Stage::OutputPtr> SegmentationStage::work(
     }
     revisions_.name(tile.header);
     const auto segmented = boost::make_shared<SegmentedBlock>(std::move(tile));
-    const PlantRegistry::Outcome outcome = registry_.identify(*segmented);
+    const PlantRegistry::Outcome outcome = registry_->identify(*segmented);
     stage_.health().show("map shift since the last pass [m]", outcome.shift.norm());
     plants += segmented->plants.size();
     outputs.push_back(segmented);
@@ -121,11 +121,11 @@ boost::shared_ptr<const SegmentedBlock> SegmentationStage::takeBack(
 void SegmentationStage::noteOutcome(const Block& block, std::size_t plants,
                                     const SegmentationParameters& parameters) {
   StageHealth& health = stage_.health();
-  health.show("plants known", static_cast<double>(registry_.size()));
+  health.show("plants known", static_cast<double>(registry_->size()));
   health.show("plants in the last block", static_cast<double>(plants));
   health.show("points in the last block", static_cast<double>(block.cloud.size()));
   // Soil between and beside the plants is no trouble, nor are blocks that are still being filled.
-  if (registry_.size() > 0U || !block.header.final) return;
+  if (registry_->size() > 0U || !block.header.final) return;
   const std::size_t tiles = block.tiles().size();
   fruitless_.blocks += tiles;
   if (block.ground.observed()) fruitless_.with_soil += tiles;

@@ -6,6 +6,7 @@
 #include <boost/shared_ptr.hpp>
 #include <cstddef>
 #include <deque>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <vector>
@@ -47,7 +48,7 @@ class SegmentationStage {
   Stage stage_;
   NamedRevisions revisions_;
   std::mutex mutex_;  // of all below
-  PlantRegistry registry_;
+  const std::shared_ptr<PlantRegistry> registry_;
   /// Last reports with ids that may be taken back, the oldest first.
   std::deque<boost::shared_ptr<const SegmentedBlock>> provisional_;
   Fruitless fruitless_;

@@ -136,7 +136,11 @@ TEST_F(Chain, HandsOnAddressesNotCopiesAndDraftsAsTheyAre) {
   std::map<BlockIndex, boost::shared_ptr<const CompletedBlock>> newest_completed;
   for (const auto& block : completed.messages) newest_completed[headerOf(*block).index] = block;
   completed.messages.clear();
-  for (const auto& entry : newest_completed) EXPECT_EQ(entry.second.use_count(), 2);
+  for (const auto& entry : newest_completed) {
+    // One that is at work is also held by that.
+    client_->waitFor([&] { return entry.second.use_count() == 2; }, 10.0);
+    EXPECT_EQ(entry.second.use_count(), 2);
+  }
 }
 
 TEST_F(Chain, TakesTheValuesOfTheParameterServerAndNamesMisspeltOnes) {
@@ -200,6 +204,8 @@ TEST_F(Chain, KeepsItsPlantsWhenTimeGoesBack) {
 }
 
 TEST_F(Chain, CanBeUnloadedAndLoadedAgain) {
+  ASSERT_TRUE(client_->waitFor([] { return client_->foundEveryPlant(); }, 40.0));
+  const std::vector<Phenotype> before = client_->plants();
   client_->driveBy(5);  // so that there is something at work
   EXPECT_TRUE(loader_->unload("/field_phenotyping/segmentation"));
   client_->driveBy(2);
@@ -207,8 +213,14 @@ TEST_F(Chain, CanBeUnloadedAndLoadedAgain) {
       "/field_phenotyping/segmentation", "field_phenotyping/Segmentation",
       {{"/field_phenotyping/segmentation/input", "/field_phenotyping/preprocessing/output"}}, {}));
   client_->forgetPlants();
-  client_->driveBy(20);
+  client_->driveBy(20, Eigen::Vector3d::Zero(), true);  // so that it sees them in another order
   EXPECT_TRUE(client_->waitFor([] { return client_->foundEveryPlant(); }, 40.0));
+  for (const Phenotype& plant : client_->plants()) {
+    const bool known = std::any_of(before.begin(), before.end(), [&](const Phenotype& other) {
+      return other.id == plant.id && (other.base - plant.base).norm() < 0.05;
+    });
+    EXPECT_TRUE(known) << plant.id;
+  }
 }
 
 }  // namespace
