@@ -154,12 +154,12 @@ std::optional<SettledFoot> settleFoot(const Block& block, const NeighborGrid& gr
     lever += sight.weights[band] / sight.total * off.z() * off.z();
     moment += sight.weights[band] / sight.total * off.z() * off.head<2>();
   }
+  if (!(lever > 0.0F)) return std::nullopt;
   constexpr float kLower = 0.6F;  // of what is seen: stems bend further up
   float seen = 0.0F;
   std::size_t lower = 0U;
   while (seen < kLower * sight.total) seen += sight.weights[lower++];
   const Eigen::Vector3f middle = middleOf(lower);
-  if (!(lever > 0.0F)) return std::nullopt;
   const Eigen::Vector2f seen_slope = moment / lever;
   constexpr float kLeafPull = 0.008F;  // [m] by which leaves move either end
   constexpr float kFew = 60.0F;        // points that as easily follow a leaf

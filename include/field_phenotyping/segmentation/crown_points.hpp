@@ -17,8 +17,8 @@ namespace field_phenotyping {
 /// empty. From `sparse_from` upwards so does what was given to another plant, unless that one's
 /// line is nearly as near or it stands high above the plant alone, and what was taken out as an
 /// outlier, if there is no dust. In such a stand what is no plant's may stand farther off a line,
-/// where the next one is much farther; and beyond a gap wider than those of the stand's other
-/// plants a plant gets only what is far nearer to its line than to the next one.
+/// where the next one is much farther. In any stand a plant gets, beyond a gap wider than those of
+/// the others, only what is far nearer to its line than to the next one.
 ///
 /// @param axes        one a plant; the upper part shows where a stem points
 /// @param sparse_from height above the soil [m], see SamplingProfile::sparseFrom(); infinite: in a
