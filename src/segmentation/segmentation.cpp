@@ -10,6 +10,7 @@
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/crown_points.hpp"
+#include "field_phenotyping/segmentation/detached_tops.hpp"
 #include "field_phenotyping/segmentation/foot_points.hpp"
 #include "field_phenotyping/segmentation/found_twice.hpp"
 #include "field_phenotyping/segmentation/growth_scene.hpp"
@@ -252,11 +253,14 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const std::vector<StemAxis> axes = axesOf(stems);
   PointOwners isolated = findIsolatedPoints(block, grid, axes, owners);
   giveCrownPoints(block, axes, sampling.sparseFrom(), owners, isolated);
+  const std::vector<float> detached =
+      giveDetachedTops(block, grid, axes.size(), owners, isolated);
   const std::vector<float> given = giveTopsBack(block.cloud.points, axes, owners);
   SegmentedBlock out = assemble(block, stems, owners, isolated);
   const std::vector<float> disputed = doubtTops(out);
   for (std::size_t s = 0; s < out.plants.size(); ++s) {
-    out.plants[s].top_stddev = std::hypot(top_stddevs[s], given[s], disputed[s]);
+    out.plants[s].top_stddev =
+        std::hypot(std::hypot(top_stddevs[s], detached[s]), given[s], disputed[s]);
   }
   return out;
 }
