@@ -184,12 +184,14 @@ std::vector<float> giveDetachedTops(const Block& block, const NeighborGrid& grid
     const DetachedTop& top = detached[plant];
     if (top.to < 0) continue;
     const auto to = static_cast<std::size_t>(top.to);
+    // What would raise that one too by so much is as little its own.
     const float rise = parts[plant].top - parts[to].top;
     const bool fits = rise < top.gap;
-    for (std::size_t k = 0; k < top.count; ++k)
+    for (std::size_t k = 0; k < top.count; ++k) {
       points.give(parts[plant].points[k], fits ? top.to : -1);
+    }
     moved[plant] = std::max(moved[plant], top.drop);
-    moved[to] = std::max(moved[to], rise);
+    if (fits) moved[to] = std::max(moved[to], rise);
   }
   for (float& doubt : moved) doubt *= std::sqrt(kWrong);
   return moved;

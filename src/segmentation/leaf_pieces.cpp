@@ -17,6 +17,12 @@ namespace {
 
 constexpr float kTouch = 0.03F;  // [m] cells this close touch
 
+/// How far more than without noise a cell may lie out of its ribbon [m].
+float offsetByNoise(const OrganCells& cells) {
+  constexpr float kClear = 0.003F;  // [m] noise that hides no form
+  return std::max(0.0F, cells.noise - kClear);
+}
+
 /// Which cells touch which, stems apart: looked up once, asked often.
 class Contacts {
  public:
@@ -54,17 +60,17 @@ class Contacts {
 
 /// Joins touching cells that lie on one smooth ribbon. Where organs cross or touch, the cloud is
 /// neither thin nor straight, and no piece reaches into it.
-std::vector<std::int32_t> joinSmoothCells(const OrganCells& cells, const Contacts& contacts,
-                                          float noise) {
+std::vector<std::int32_t> joinSmoothCells(const OrganCells& cells, const Contacts& contacts) {
   constexpr float kMostCurvature = 0.04F;  // of a leaf among others, without noise
-  constexpr float kNoiseCurvature = 3.0F;  // of a leaf, per its squared thickness
+  constexpr float kNoiseCurvature = 5.0F;  // of a leaf, per its squared thickness
   // A piece too many is linked again; one that runs from leaf to leaf is lost for one of them.
   constexpr float kLeastLinearity = 0.45F;
   constexpr std::uint32_t kLeastNeighbors = 6U;
   constexpr float kAlike = 0.94F;    // cosine of the largest bend from cell to cell
-  constexpr float kOffset = 0.005F;  // [m] out of the ribbon
+  constexpr float kOffset = 0.005F;  // [m] out of the ribbon, without noise
+  const float most_offset = kOffset + offsetByNoise(cells);
   // Noise thickens all leaves alike.
-  const float thickness = noise / cells.shape_radius;
+  const float thickness = cells.noise / kOrganShape;
   const float most_curvature = kMostCurvature + kNoiseCurvature * thickness * thickness;
   std::vector<std::uint8_t> smooth(cells.size());
   parallelChunks(cells.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
@@ -92,8 +98,8 @@ std::vector<std::int32_t> joinSmoothCells(const OrganCells& cells, const Contact
         const LocalShape& other = cells.shapes[b];
         if (std::abs(shape.direction.dot(other.direction)) < kAlike) return;
         const Eigen::Vector3f step = cells.centers[b] - cells.centers[a];
-        if (std::abs(step.dot(shape.normal)) > kOffset) return;
-        if (std::abs(step.dot(other.normal)) > kOffset) return;
+        if (std::abs(step.dot(shape.normal)) > most_offset) return;
+        if (std::abs(step.dot(other.normal)) > most_offset) return;
         of_chunk.emplace_back(a, b);
       });
     }
@@ -158,11 +164,12 @@ Ribbon fitRibbon(const Neighborhood& piece, const Eigen::Vector3f& place, float 
 /// @param places the cells of each piece
 void growPieces(const OrganCells& cells, const Contacts& contacts,
                 std::vector<std::int32_t>& piece_of, std::vector<Neighborhood>& places) {
-  constexpr float kOffset = 0.008F;   // [m] out of the ribbon
+  constexpr float kOffset = 0.008F;   // [m] out of the ribbon, without noise
   constexpr float kHalfWidth = 1.7F;  // of an even ribbon, in standard deviations
   constexpr float kMargin = 0.01F;    // [m] beyond it
   constexpr int kMostRounds = 8;      // of one touch each
-  std::vector<std::uint32_t> front;   // cells without a piece that touch one newly grown
+  const float most_offset = kOffset + offsetByNoise(cells);
+  std::vector<std::uint32_t> front;  // cells without a piece that touch one newly grown
   std::vector<std::uint8_t> listed(cells.size(), 0U);
   const auto listAround = [&](const std::vector<std::uint32_t>& grown) {
     std::vector<std::vector<std::uint32_t>> around(chunksOf(grown.size(), kCellsOfTask));
@@ -189,11 +196,11 @@ void growPieces(const OrganCells& cells, const Contacts& contacts,
         touching.push_back(piece);
       }
     });
-    float least = kOffset;
+    float least = most_offset;
     std::int32_t best = -1;
     for (const std::int32_t piece : touching) {
       const Ribbon ribbon =
-          fitRibbon(places[static_cast<std::size_t>(piece)], cells.centers[n], cells.shape_radius);
+          fitRibbon(places[static_cast<std::size_t>(piece)], cells.centers[n], kOrganShape);
       if (!ribbon.known) continue;
       const Eigen::Vector3f offset = cells.centers[n] - ribbon.mean;
       const float out = std::abs(offset.dot(ribbon.normal));
@@ -277,10 +284,10 @@ class PlacesOfPieces {
 
 }  // namespace
 
-LeafPieces findLeafPieces(OrganCells& cells, float noise) {
+LeafPieces findLeafPieces(OrganCells& cells) {
   const Contacts contacts(cells, NeighborGrid(cells.centers, kTouch));
   LeafPieces pieces;
-  pieces.of_cell = joinSmoothCells(cells, contacts, noise);
+  pieces.of_cell = joinSmoothCells(cells, contacts);
   std::vector<Neighborhood> places;  // of each piece
   for (std::uint32_t n = 0; n < cells.size(); ++n) {
     if (pieces.of_cell[n] < 0) continue;
@@ -299,7 +306,7 @@ LeafPieces findLeafPieces(OrganCells& cells, float noise) {
     for (std::size_t n = begin; n < end; ++n) {
       if (pieces.of_cell[n] < 0) continue;
       const Ribbon ribbon = fitRibbon(places[static_cast<std::size_t>(pieces.of_cell[n])],
-                                      cells.centers[n], cells.shape_radius);
+                                      cells.centers[n], kOrganShape);
       if (!ribbon.known) continue;
       cells.shapes[n].direction = ribbon.direction;
       cells.shapes[n].normal = ribbon.normal;

@@ -365,15 +365,6 @@ void growPaths(OrganCells& cells, const std::vector<LeafHost>& hosts, const Leaf
   }
 }
 
-/// Neighbourhood that shows which way an organ runs [m]: wider where noise thickens it.
-float shapeRadius(float noise) {
-  constexpr float kNarrow = 0.05F;  // [m]
-  constexpr float kWide = 0.07F;    // [m]
-  constexpr float kClear = 0.003F;  // [m] noise that hides no form
-  constexpr float kPerNoise = 5.0F;
-  return std::clamp(kNarrow + kPerNoise * (noise - kClear), kNarrow, kWide);
-}
-
 /// Standard deviation of the points across a surface [m], which the stems show.
 float noiseOf(const Block& block, const std::vector<StemAxis>& axes,
               const std::vector<std::int32_t>& owner) {
@@ -419,8 +410,8 @@ OrganOwners assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
   const float noise = noiseOf(block, axes, owner);
   const std::vector<OrganEnd> ends = followStemsUp(block, axes, noise, owner);
   const std::vector<LeafHost> hosts = hostsOf(block, axes, ends, owner);
-  OrganCells cells = gatherOrganCells(block, owner, shapeRadius(noise), device);
-  const LeafPieces pieces = findLeafPieces(cells, noise);
+  OrganCells cells = gatherOrganCells(block, owner, device);
+  const LeafPieces pieces = findLeafPieces(cells);
   constexpr float kStraightOn = 1.6F;  // of the reach, along a leaf
   const std::vector<std::vector<PieceLink>> links =
       linkLeafPieces(cells, pieces, kStraightOn * reach);

@@ -1,6 +1,7 @@
 #include "field_phenotyping/segmentation/organ_cells.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 #include <utility>
 
@@ -16,10 +17,39 @@ namespace {
 constexpr float kCell = 0.015F;       // [m] points this close are one cell
 constexpr float kWeedHeight = 0.25F;  // [m] below it an organ must touch its plant
 
+/// Standard deviation of points across the surfaces of organs [m], by how thick the thinner ones
+/// are. Stems do not tell: what lies far off their surface is not believed to be theirs.
+/// @param centers of cells that are no stem's
+/// @param grid over them
+float noiseAcross(const std::vector<Eigen::Vector3f>& centers, const NeighborGrid& grid) {
+  constexpr std::size_t kSamples = 2000U;
+  constexpr std::uint32_t kLeastNeighbors = 6U;
+  constexpr float kThinner = 0.25F;  // share of the cells: the others bend, or touch others
+  constexpr float kBend = 0.0025F;   // curvature that leaves have of themselves
+  const std::size_t stride = std::max<std::size_t>(1U, centers.size() / kSamples);
+  std::vector<LocalShape> shapes(centers.size() / stride);
+  parallelChunks(shapes.size(), kCellsOfTask, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) {
+      shapes[k] = computeLocalShape(centers[k * stride], grid, kOrganShape);
+    }
+  });
+  std::vector<float> curvatures;
+  for (const LocalShape& shape : shapes) {
+    if (shape.neighbors >= kLeastNeighbors) curvatures.push_back(shape.curvature);
+  }
+  if (curvatures.empty()) return 0.0F;
+  const auto thinner = curvatures.begin() + static_cast<std::ptrdiff_t>(
+                                                kThinner * static_cast<float>(curvatures.size()));
+  std::nth_element(curvatures.begin(), thinner, curvatures.end());
+  // What is as wide as the neighbourhood, or narrower, has about this sum of variances there.
+  constexpr float kVariances = kOrganShape * kOrganShape / 3.0F;
+  return std::sqrt(std::max(0.0F, *thinner - kBend) * kVariances);
+}
+
 }  // namespace
 
 OrganCells gatherOrganCells(const Block& block, const std::vector<std::int32_t>& owner,
-                            float shape_radius, const ComputeDevice& device) {
+                            const ComputeDevice& device) {
   const std::vector<Eigen::Vector3f>& points = block.cloud.points;
   const Bounds bounds = boundsOf(points);
   const auto cellOf = [&](const Eigen::Vector3f& point) -> Eigen::Array3i {
@@ -52,7 +82,6 @@ OrganCells gatherOrganCells(const Block& block, const std::vector<std::int32_t>&
   std::partial_sum(first_cell.begin(), first_cell.end(), first_cell.begin());
 
   OrganCells cells;
-  cells.shape_radius = shape_radius;
   cells.of_point.resize(points.size());
   cells.centers.assign(first_cell.back(), Eigen::Vector3f::Zero());
   cells.owner.assign(cells.size(), -1);
@@ -82,8 +111,9 @@ OrganCells gatherOrganCells(const Block& block, const std::vector<std::int32_t>&
   const std::vector<std::uint32_t> organs =
       indicesWhere(cells.size(), [&](std::size_t n) { return cells.is_stem[n] == 0U; });
   const std::vector<Eigen::Vector3f> centers = valuesAt(cells.centers, organs);
-  const NeighborGrid grid(centers, shape_radius);
-  const std::vector<LocalShape> shapes = computeLocalShapes(centers, grid, shape_radius, device);
+  const NeighborGrid grid(centers, kOrganShape);
+  cells.noise = noiseAcross(centers, grid);
+  const std::vector<LocalShape> shapes = computeLocalShapes(centers, grid, kOrganShape, device);
   LocalShape upright;
   upright.linearity = 1.0F;
   cells.shapes.assign(cells.size(), upright);

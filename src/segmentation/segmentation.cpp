@@ -253,8 +253,7 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   const std::vector<StemAxis> axes = axesOf(stems);
   PointOwners isolated = findIsolatedPoints(block, grid, axes, owners);
   giveCrownPoints(block, axes, sampling.sparseFrom(), owners, isolated);
-  const std::vector<float> detached =
-      giveDetachedTops(block, grid, axes.size(), owners, isolated);
+  const std::vector<float> detached = giveDetachedTops(block, grid, axes.size(), owners, isolated);
   const std::vector<float> given = giveTopsBack(block.cloud.points, axes, owners);
   SegmentedBlock out = assemble(block, stems, owners, isolated);
   const std::vector<float> disputed = doubtTops(out);

@@ -12,10 +12,11 @@ namespace field_phenotyping {
 /// neighbour's tassel, or the end of its leaf, that happens to hang over a short plant.
 ///
 /// A plant is of one piece. Where nothing of it is seen for a stretch in which, by how densely the
-/// 15 cm below are seen, many of its points were to be expected, what is above the stretch is
-/// another plant's, if points of one are far nearer to it than the plant's own: the one that most
-/// of it is nearest to. Where plants of the stand usually have long stretches of which nothing is
-/// seen, it must be longer than those. What is not above the plant's stem is its own.
+/// 15 cm below are seen, many of its points were to be expected, what is above is another plant's,
+/// if points of one are far nearer to it than the plant's own: the one that most of it is nearest
+/// to, or no plant's where that would raise that one as far. Where plants of the stand usually have
+/// long stretches of which nothing is seen, it must be longer than those. A plant's stem stays its
+/// own, but for a few points that have followed the neighbour's.
 ///
 /// @param grid        over the points of `block.cloud`
 /// @param plants      how many there are
@@ -25,7 +26,6 @@ namespace field_phenotyping {
 ///         of such tops is given away wrongly
 /// Pure function; deterministic; plants are worked side by side.
 std::vector<float> giveDetachedTops(const Block& block, const NeighborGrid& grid,
-                                    std::size_t plants, PointOwners& owners,
-                                    PointOwners& isolated);
+                                    std::size_t plants, PointOwners& owners, PointOwners& isolated);
 
 }  // namespace field_phenotyping

@@ -15,8 +15,7 @@ struct LeafPieces {
 
 /// Finds pieces of leaves: cells on one smooth ribbon, each carried on through crossings as it
 /// foretells. The cells of a piece get the shape of that piece alone.
-/// @param noise standard deviation of the points across a surface [m]
-LeafPieces findLeafPieces(OrganCells& cells, float noise);
+LeafPieces findLeafPieces(OrganCells& cells);
 
 /// A piece that may go on in another, and what that costs.
 struct PieceLink {

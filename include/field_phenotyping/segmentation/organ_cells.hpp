@@ -11,7 +11,8 @@
 
 namespace field_phenotyping {
 
-constexpr float kOrganStep = 0.04F;         ///< [m] cells of one organ are this near to one another
+constexpr float kOrganStep = 0.04F;   ///< [m] cells of one organ are this near to one another
+constexpr float kOrganShape = 0.05F;  ///< [m] about a cell, that shows which way its organ runs
 constexpr std::size_t kCellsOfTask = 512U;  ///< that are worked together
 
 /// Points gathered into cells: far fewer than points, and of even density. Of each cell:
@@ -22,7 +23,7 @@ struct OrganCells {
   std::vector<std::uint8_t> is_stem;
   std::vector<std::uint8_t> is_low;  ///< where weeds grow
   std::vector<LocalShape> shapes;    ///< of organs, stems left out
-  float shape_radius = 0.0F;         ///< [m] neighbourhood that shows which way an organ runs
+  float noise = 0.0F;  ///< [m] standard deviation of points across the organs' surfaces
 
   std::uint32_t size() const { return static_cast<std::uint32_t>(centers.size()); }
 };
@@ -31,6 +32,6 @@ struct OrganCells {
 /// or -1
 /// Deterministic; thread-safe; the shapes are the GPU's where there is one.
 OrganCells gatherOrganCells(const Block& block, const std::vector<std::int32_t>& owner,
-                            float shape_radius, const ComputeDevice& device);
+                            const ComputeDevice& device);
 
 }  // namespace field_phenotyping
