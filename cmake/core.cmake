@@ -25,6 +25,12 @@ endif()
 if(TARGET TBB::tbb)
   target_link_libraries(field_phenotyping_core PRIVATE TBB::tbb)
   target_compile_definitions(field_phenotyping_core PRIVATE FIELD_PHENOTYPING_WITH_TBB)
+  if(FIELD_PHENOTYPING_SANITIZE MATCHES thread)
+    # What TBB hands from thread to thread by itself would be reported; what it promises is told.
+    set_source_files_properties(${PROJECT_SOURCE_DIR}/src/common/parallel_tasks.cpp PROPERTIES
+      COMPILE_OPTIONS -fno-sanitize=thread
+      COMPILE_DEFINITIONS FIELD_PHENOTYPING_THREAD_SANITIZER)
+  endif()
 else()
   message(STATUS "TBB not found: the core works on one thread")
 endif()

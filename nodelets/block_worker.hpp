@@ -152,7 +152,9 @@ struct OverloadLimits {
 /// first seen goes before that one: what an earlier pass has found there must be known by then.
 ///
 /// A draft need not wait for a large block that is at work already where a second thread takes
-/// drafts beside it; the first then takes final blocks before drafts. Thread-safe.
+/// drafts beside it, one after another: each has all cores, and the first of two is done in half of
+/// the time that both take side by side. The other thread then takes final blocks first.
+/// Thread-safe.
 template <class T>
 class BlockWorker {
  public:
@@ -170,7 +172,7 @@ class BlockWorker {
   /// Who works drafts.
   enum class Drafts {
     kInTurn,  ///< the one thread that works all blocks
-    kBeside,  ///< that one and another: `work` is called by two threads at once
+    kBeside,  ///< another, which works nothing else: `work` is called by two threads at once
   };
   /// What the worker calls, on its threads; none may throw.
   struct Calls {
@@ -188,8 +190,8 @@ class BlockWorker {
 
   /// Once, when what the calls use is there, this object among it.
   void start() {
-    thread_ = std::thread([this] { run(Takes::kAll); });
-    if (drafts_ == Drafts::kBeside) beside_ = std::thread([this] { run(Takes::kDrafts); });
+    thread_ = std::thread([this] { run(false); });
+    if (drafts_ == Drafts::kBeside) beside_ = std::thread([this] { run(true); });
   }
 
   /// No call is made after this; what still waits is not worked.
@@ -251,8 +253,6 @@ class BlockWorker {
   }
 
  private:
-  enum class Takes { kAll, kDrafts };
-
   /// Times as long as an update took nothing but first and last values is worked, that these find
   /// time: the final block will say better what an update would have said.
   static constexpr double kUpdatePause = 3.0;
@@ -371,12 +371,12 @@ class BlockWorker {
   }
 
   /// Nothing where none may be worked yet.
-  std::optional<Task> takeNext(Takes takes, bool& is_update) {
+  std::optional<Task> takeNext(bool takes_drafts, bool& is_update) {
     const bool newest_first = waitsTooLong(Rank::kFirstValues);
     const bool may_update = ros::WallTime::now() >= next_update_;
     auto next = waiting_.end();
     for (auto task = waiting_.begin(); task != waiting_.end(); ++task) {
-      if (takes == Takes::kDrafts && !headerOf(*task->block).draft) continue;
+      if (drafts_ == Drafts::kBeside && headerOf(*task->block).draft != takes_drafts) continue;
       if (!may_update && rankOf(*task) == Rank::kUpdate) continue;
       const bool first = next == waiting_.end() || goesFirst(*task, *next, newest_first);
       if (first && !hasEarlierPass(*task->block)) next = task;
@@ -394,13 +394,14 @@ class BlockWorker {
     return task;
   }
 
-  void run(Takes takes) {
+  /// @param beside as the thread that takes drafts, where one does
+  void run(bool beside) {
     std::unique_lock<std::mutex> lock(mutex_);
     while (running_) {
       const bool ready = calls_.ready();
       if (ready && !opened_) opened_ = ros::WallTime::now();
       bool is_update = false;
-      const std::optional<Task> task = ready ? takeNext(takes, is_update) : std::nullopt;
+      const std::optional<Task> task = ready ? takeNext(beside, is_update) : std::nullopt;
       const ros::WallTime begin = ros::WallTime::now();
       if (!task) {
         changed_.wait_for(lock, std::chrono::milliseconds(100));
@@ -417,7 +418,7 @@ class BlockWorker {
         ++worked_count_;
         changed_.notify_all();
       }
-      if (takes != Takes::kAll) continue;
+      if (beside) continue;
       lock.unlock();
       calls_.idle();
       lock.lock();

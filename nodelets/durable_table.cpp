@@ -33,18 +33,28 @@ bool beginsAnew(const ros::NodeHandle& pnh) {
 DurableTable::DurableTable(const ros::NodeHandle& pnh, StageHealth& health)
     : path_(journalOf(pnh)), health_(health) {
   try {
-    if (!path_.empty() && beginsAnew(pnh)) {
-      const std::string other = moveJournalAside(path_);
-      if (!other.empty()) ROS_INFO_STREAM("the journal of an earlier run is now " << other);
-    }
-    open();
+    open(!path_.empty() && beginsAnew(pnh));
   } catch (const JournalError& error) {
     health_.trouble("journal", error.what());
   }
 }
 
-void DurableTable::open() {
-  auto journal = std::make_unique<PhenotypeJournal>(path_, PhenotypeJournal::Access::kWrite);
+void DurableTable::open(bool anew) {
+  using Access = PhenotypeJournal::Access;
+  std::unique_ptr<PhenotypeJournal> journal;
+  try {
+    if (anew) {
+      const std::string other = moveJournalAside(path_);
+      if (!other.empty()) ROS_INFO_STREAM("the journal of an earlier run is now " << other);
+    }
+    journal = std::make_unique<PhenotypeJournal>(path_, Access::kWrite);
+  } catch (const JournalInUse& error) {
+    path_ = freeNameBeside(path_);
+    in_use_ = std::string(error.what()) + ": what is measured here goes to " + path_ +
+              ", so that neither is lost. Give each manager an output folder of its own";
+    tellInUse();
+    journal = std::make_unique<PhenotypeJournal>(path_, Access::kWrite);
+  }
   const std::size_t plants = journal->plants();
   if (begun_ && plants > 0U) {
     throw JournalError(
@@ -69,9 +79,14 @@ PlantTable::Change DurableTable::update(const BlockHeader& header,
   waiting_.push_back({source, plants});
   frame_id_ = header.frame_id;
   write();
+  tellInUse();
   used_[source.block] = ++reports_;
   forgetOldest();
   return change;
+}
+
+void DurableTable::tellInUse() {
+  if (!in_use_.empty()) health_.trouble("journal in use", in_use_);
 }
 
 /// What was forgotten of a block and its plants, or is of an earlier run.
@@ -120,7 +135,7 @@ void DurableTable::retry() {
 void DurableTable::write() {
   tried_ = ros::WallTime::now();
   try {
-    if (!journal_) open();
+    if (!journal_) open(false);
     journal_->setFrameId(frame_id_);
     while (!waiting_.empty()) {
       journal_->append(waiting_.front());

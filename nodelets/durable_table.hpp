@@ -19,7 +19,8 @@ namespace field_phenotyping {
 /// anybody else hears of it, and what that holds is known from the start. Only the blocks of the
 /// last reports are in memory; the others are read again when they are passed again. Without
 /// `~journal` a temporary file takes its place. Where it cannot be written, measuring goes on,
-/// `health` says so, and reports wait in memory until it can. Not thread-safe.
+/// `health` says so, and reports wait in memory until it can. Where another writes it, one beside
+/// it takes its place, and `health` goes on saying so. Not thread-safe.
 class DurableTable {
  public:
   /// With `~new_journal`, which is set to false then, an older journal is moved aside and a new one
@@ -37,12 +38,15 @@ class DurableTable {
   std::size_t size() const { return size_; }
 
  private:
-  void open();
+  /// @param anew one that is there is moved aside
+  void open(bool anew);
+  void tellInUse();
   void recall(const BlockIndex& block, const std::vector<Phenotype>& plants);
   void forgetOldest();
   void write();
 
-  const std::string path_;
+  std::string path_;
+  std::string in_use_;  // why it is not the one that was given
   StageHealth& health_;
   PlantTable table_;
   std::unique_ptr<PhenotypeJournal> journal_;

@@ -1,15 +1,21 @@
 #include "phenotype_journal.hpp"
 
+#include <fcntl.h>
 #include <field_phenotyping/PlantPhenotype.h>
 #include <ros/serialization.h>
 #include <sqlite3.h>
+#include <sys/file.h>
+#include <unistd.h>
 
+#include <cerrno>
+#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <map>
 #include <set>
 #include <system_error>
+#include <thread>
 #include <utility>
 
 #include "conversions.hpp"
@@ -59,7 +65,49 @@ const char* messageVersion() {
   return ros::message_traits::MD5Sum<PlantPhenotype>::value();
 }
 
+void makeFolderOf(const std::string& path) {
+  std::error_code error;
+  const auto folder = std::filesystem::path(path).parent_path();
+  if (!folder.empty()) std::filesystem::create_directories(folder, error);
+  if (!error) return;
+  throw JournalError("cannot make the folder of the journal " + path + ": " + error.message());
+}
+
 }  // namespace
+
+/// Held by who writes a journal. A file of its own, for closing the journal's would take SQLite's
+/// locks with it, and one that is moved aside stays locked.
+class WriterLock {
+ public:
+  /// Waits for a writer that is about to end. @throws JournalInUse, JournalError
+  explicit WriterLock(const std::string& journal) {
+    const std::string path = journal + "-lock";
+    file_ = ::open(path.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
+    if (file_ < 0) throwError(journal, path);
+    const auto end = std::chrono::steady_clock::now() + std::chrono::milliseconds(kBusyTimeout);
+    while (::flock(file_, LOCK_EX | LOCK_NB) != 0) {
+      if (errno != EWOULDBLOCK) throwError(journal, path);
+      if (std::chrono::steady_clock::now() > end) {
+        ::close(file_);
+        throw JournalInUse("the journal " + journal + " is written by another nodelet manager");
+      }
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+    }
+  }
+  ~WriterLock() { ::close(file_); }
+  WriterLock(const WriterLock&) = delete;
+  WriterLock& operator=(const WriterLock&) = delete;
+
+ private:
+  [[noreturn]] void throwError(const std::string& journal, const std::string& path) const {
+    const std::string reason = std::strerror(errno);
+    if (file_ >= 0) ::close(file_);
+    throw JournalError("cannot lock " + path + " to write the journal " + journal + ": " + reason +
+                       ". May the folder be written, is the disk full?");
+  }
+
+  int file_ = -1;
+};
 
 /// A prepared statement; parameters and columns count from 1 and from 0, as in SQLite.
 class PhenotypeJournal::Statement {
@@ -127,12 +175,8 @@ class PhenotypeJournal::Statement {
 PhenotypeJournal::PhenotypeJournal(const std::string& path, Access access)
     : path_(path), database_(nullptr, sqlite3_close) {
   if (access == Access::kWrite && !path.empty()) {
-    std::error_code error;
-    const auto folder = std::filesystem::path(path).parent_path();
-    if (!folder.empty()) std::filesystem::create_directories(folder, error);
-    if (error) {
-      throw JournalError("cannot make the folder of the journal " + path + ": " + error.message());
-    }
+    makeFolderOf(path);
+    lock_ = std::make_unique<WriterLock>(path);
   }
   sqlite3* database = nullptr;
   // A reader, too, must be able to take part in the write-ahead log.
@@ -358,17 +402,23 @@ std::string moveJournalAside(const std::string& path) {
   namespace fs = std::filesystem;
   std::error_code error;
   if (!fs::exists(path, error)) return "";
-  const fs::path file(path);
-  std::string other;
-  for (int k = 1; other.empty() || fs::exists(other); ++k) {
-    other = (file.parent_path() / file.stem()).string() + "-" + std::to_string(k) +
-            file.extension().string();
-  }
+  const WriterLock lock(path);
+  const std::string other = freeNameBeside(path);
   fs::rename(path, other, error);
   if (error) throw JournalError("cannot rename the journal " + path + ": " + error.message());
   // A killed writer has left its newest reports in the log beside it.
   if (fs::exists(path + "-wal")) fs::rename(path + "-wal", other + "-wal", error);
   fs::remove(path + "-shm", error);
+  return other;
+}
+
+std::string freeNameBeside(const std::string& path) {
+  const std::filesystem::path file(path);
+  std::string other;
+  for (int k = 1; other.empty() || std::filesystem::exists(other); ++k) {
+    other = (file.parent_path() / file.stem()).string() + "-" + std::to_string(k) +
+            file.extension().string();
+  }
   return other;
 }
 

@@ -15,15 +15,25 @@ struct sqlite3;
 
 namespace field_phenotyping {
 
+class WriterLock;
+
 /// A journal that cannot be read or written; what() names the file, the cause and the cure.
 class JournalError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
+/// A journal that another process, or another object of this one, writes.
+class JournalInUse : public JournalError {
+ public:
+  using JournalError::JournalError;
+};
+
 /// Everything that was ever reported about the plants of one map, as an SQLite file that only
-/// grows. What append() has taken survives the death of this process and of the machine. While it
-/// is written, other processes may read it, with these functions or with `sqlite3`:
+/// grows. It has one writer at a time, for ids are given by it alone: the lock on the file beside
+/// it, `-lock`, says whether there is one, and goes with its process. What append() has taken
+/// survives the death of this process and of the machine. While it is written, other processes may
+/// read it, with these functions or with `sqlite3`:
 ///
 ///     select plant_id, height, stem_diameter from plant order by report;
 ///
@@ -34,6 +44,7 @@ class PhenotypeJournal {
 
   /// Opens the journal; to write, it and its folder are made if need be. To write, the path may be
   /// empty: a temporary file that goes with this object.
+  /// @throws JournalInUse where another writes it and does not end within some seconds
   /// @throws JournalError also where it was written by a version with other traits
   PhenotypeJournal(const std::string& path, Access access);
   ~PhenotypeJournal();
@@ -75,6 +86,7 @@ class PhenotypeJournal {
   [[noreturn]] void fail(const std::string& doing) const;
 
   std::string path_;
+  std::unique_ptr<WriterLock> lock_;  // before what it guards, so that it goes last
   std::unique_ptr<sqlite3, int (*)(sqlite3*)> database_;
 };
 
@@ -87,7 +99,12 @@ void recallInto(PlantTable& table, const PhenotypeJournal& journal, const BlockI
                 const std::vector<Phenotype>& plants);
 
 /// Gives the journal at `path` another name beside it, so that a new one begins; nothing where
-/// there is none. @return the other name, or empty. @throws JournalError
+/// there is none. @return the other name, or empty. @throws JournalInUse where it is written
+/// @throws JournalError
 std::string moveJournalAside(const std::string& path);
+
+/// The first of `journal-1.sqlite`, `journal-2.sqlite`, ... beside `journal.sqlite` that nothing is
+/// at.
+std::string freeNameBeside(const std::string& path);
 
 }  // namespace field_phenotyping

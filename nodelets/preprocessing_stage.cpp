@@ -13,6 +13,7 @@
 
 #include "cloud_decoder.hpp"
 #include "conversions.hpp"
+#include "field_phenotyping/common/nearest_name.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 
 namespace field_phenotyping {
@@ -40,6 +41,15 @@ const ros::Duration kLongestLook(0.5);  // back from a scan
 /// tf2 knows no leading slash, old drivers still write it.
 std::string withoutSlash(const std::string& frame) {
   return !frame.empty() && frame.front() == '/' ? frame.substr(1) : frame;
+}
+
+std::string listed(const std::vector<std::string>& names) {
+  constexpr std::size_t kMostListed = 20U;
+  std::string list;
+  for (std::size_t i = 0; i < std::min(names.size(), kMostListed); ++i) {
+    list += (i == 0U ? "'" : ", '") + names[i] + "'";
+  }
+  return names.size() > kMostListed ? list + ", ..." : list;
 }
 
 std::set<std::string> ownParameterNames() {
@@ -223,7 +233,8 @@ std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const Waiting
     throw CloudFormatError("its stamp is zero and it is not in '" + target_frame_ +
                            "': when it was taken, and so from where, is not known");
   }
-  std::string reason = "its frame_id is empty";
+  std::string reason;  // tf2 adds to it
+  if (frame.empty()) reason = "its frame_id is empty";
   if (!frame.empty() && tf_buffer_.canTransform(target_frame_, frame, header.stamp, &reason)) {
     return tf2::transformToEigen(tf_buffer_.lookupTransform(target_frame_, frame, header.stamp));
   }
@@ -234,31 +245,72 @@ std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const Waiting
   if (nameOtherClock(header)) return std::nullopt;
   std::ostringstream text;
   text << "a scan was dropped: no transform from '" << frame << "' to '" << target_frame_
-       << "' at its stamp within " << tf_timeout_.toSec() << " s (" << reason
-       << "). Is the SLAM running, is target_frame right, is use_sim_time set for a bag?";
+       << "' at its stamp within " << tf_timeout_.toSec() << " s (" << reason << "). "
+       << cureOfMissingTransform(header);
   health_.trouble("no transform", text.str());
   return std::nullopt;
+}
+
+std::string PreprocessingStage::cureOfMissingTransform(const std_msgs::Header& header) const {
+  const std::string frame = withoutSlash(header.frame_id);
+  if (frame.empty()) return "Let the driver name the frame that its points are in";
+  std::vector<std::string> known;
+  tf_buffer_._getFrameStrings(known);
+  if (known.empty()) {
+    return "No transform has come at all: is the SLAM running? If it has registered the scans, set "
+           "target_frame to '" +
+           frame + "'";
+  }
+  std::sort(known.begin(), known.end());
+  const auto unknown = [&](const std::string& name) { return !tf_buffer_._frameExists(name); };
+  const auto nameFrames = [&](const std::string& name, const std::string& cure) {
+    return "tf knows no '" + name + "', only " + listed(known) + "; is '" +
+           nearestName(name, known) + "' meant? " + cure;
+  };
+  if (unknown(frame)) {
+    return nameFrames(frame, "Let the driver stamp scans with that frame, or publish its tf");
+  }
+  if (unknown(target_frame_)) return nameFrames(target_frame_, "Set target_frame");
+  const std::optional<double> behind = aheadOfTf(header);
+  if (!behind || *behind <= 0.0) {
+    return "Is the SLAM running, is target_frame right, is use_sim_time set for a bag?";
+  }
+  std::ostringstream text;
+  text << "The newest one is " << *behind
+       << " s older than the scan. Has the SLAM stopped? If it is "
+       << "late, raise tf_timeout by more than that, and queue_size above lag x rate";
+  return text.str();
+}
+
+/// How much younger a scan is than the newest transform of its frame [s]; nothing where there is
+/// none, or one for all times.
+std::optional<double> PreprocessingStage::aheadOfTf(const std_msgs::Header& header) const {
+  const std::string frame = withoutSlash(header.frame_id);
+  const ros::Time any;  // the newest transform that there is
+  if (!tf_buffer_.canTransform(target_frame_, frame, any)) return std::nullopt;
+  const ros::Time newest = tf_buffer_.lookupTransform(target_frame_, frame, any).header.stamp;
+  if (newest.isZero()) return std::nullopt;
+  return header.stamp.toSec() - newest.toSec();
 }
 
 /// Scans by one clock and transforms by another never meet; nor do those of a bag that starts again
 /// while tf2 still holds what came after.
 /// @return whether that is what is wrong
 bool PreprocessingStage::nameOtherClock(const std_msgs::Header& header) {
-  const std::string frame = withoutSlash(header.frame_id);
-  const ros::Time any;  // the newest transform that there is
-  if (!tf_buffer_.canTransform(target_frame_, frame, any)) return false;
-  const ros::Time newest = tf_buffer_.lookupTransform(target_frame_, frame, any).header.stamp;
-  const double apart = header.stamp.toSec() - newest.toSec();
-  if (newest.isZero() || std::abs(apart) < kOtherClock) return false;
+  const std::optional<double> ahead = aheadOfTf(header);
+  if (!ahead || std::abs(*ahead) < kOtherClock) return false;
+  // Where scans have been placed by transforms, these have stopped.
+  if (*ahead > 0.0 && !registered_ && scans_added_ > 0U) return false;
   health_.count("scans dropped: another clock than tf");
   std::ostringstream text;
   text
-      << "a scan was dropped: it is " << std::abs(apart) << " s "
-      << (apart > 0.0 ? "younger" : "older") << " than the newest transform from '" << frame
-      << "' to '" << target_frame_ << "'. Scans and transforms go by different clocks: set "
+      << "a scan was dropped: it is " << std::abs(*ahead) << " s "
+      << (*ahead > 0.0 ? "younger" : "older") << " than the newest transform from '"
+      << withoutSlash(header.frame_id) << "' to '" << target_frame_
+      << "'. Scans and transforms go by different clocks: set "
       << "use_sim_time for all nodes and play the bag with --clock, or for none, and let one clock "
       << "stamp both";
-  if (apart < 0.0 && header.stamp + kTimeJump < newest_stamp_) {
+  if (*ahead < 0.0 && header.stamp + kTimeJump < newest_stamp_) {
     // tf2 would refuse what is older than its memory.
     tf_buffer_.clear();
     text << ". Or time went back, as when a bag starts again: older transforms are forgotten, and "
@@ -322,8 +374,9 @@ void PreprocessingStage::noticeTimeJump(const ros::Time& stamp) {
     health_.count("time jumps");
     health_.trouble("time jump", "time went back by " +
                                      std::to_string((newest_stamp_ - stamp).toSec()) +
-                                     " s (a bag that starts again?): the open blocks are given up, "
-                                     "measured plants are kept");
+                                     " s (a bag that starts again?): what was seen so far is "
+                                     "measured by itself");
+    handOnBlocks(true, WhenFull::kInAnyCase);
     emptyMap();
     last_fix_ = ros::Time();
     scans_added_ = 0U;

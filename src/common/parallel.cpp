@@ -1,7 +1,6 @@
 #include "field_phenotyping/common/parallel.hpp"
 
 #ifdef FIELD_PHENOTYPING_WITH_TBB
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <atomic>
@@ -9,6 +8,8 @@
 #include <mutex>
 #include <optional>
 #include <thread>
+
+#include "common/parallel_tasks.hpp"
 #endif
 
 namespace field_phenotyping {
@@ -99,7 +100,7 @@ void parallelFor(std::size_t count, const std::function<void(std::size_t)>& task
   std::optional<UrgentCall> call;
   if (is_urgent) call.emplace();
   const auto& chosen = is_urgent ? task : considerate;
-  const auto run = [&] { tbb::parallel_for(std::size_t{0}, count, chosen); };
+  const auto run = [&] { runTasks(count, chosen); };
   tbb::task_arena* arena = limited.load();
   if (arena == nullptr && is_urgent) arena = urgentArena();
   if (arena != nullptr) {

@@ -64,6 +64,14 @@ TEST_F(BadInput, AllNanIsNamed) {
 
 TEST_F(BadInput, InAnUnknownFrameIsNamed) {
   expectTrouble(goodCloud("nowhere"), "no transform from 'nowhere' to 'map'");
+  EXPECT_TRUE(client_->heardOf("preprocessing",
+                               "No transform has come at all: is the SLAM running? If it has "
+                               "registered the scans, set target_frame to 'nowhere'"));
+}
+
+TEST_F(BadInput, InAMisspeltFrameIsNamedWithTheFramesThatThereAre) {
+  client_->broadcast(Eigen::Isometry3d::Identity(), ros::Time::now());
+  expectTrouble(goodCloud("lidra"), "tf knows no 'lidra', only 'lidar', 'map'; is 'lidar' meant?");
 }
 
 TEST_F(BadInput, WithABrokenStampIsNamed) {
@@ -83,6 +91,17 @@ TEST_F(BadInput, BeforeItsTransformIsNamed) {
   expectTrouble(cloud,
                 "no transform from 'lidar' to 'map' at its stamp within 1 s (Lookup would "
                 "require extrapolation");
+}
+
+// What was placed before tells that both go by one clock.
+TEST_F(BadInput, AfterTheSlamHasStoppedIsNamed) {
+  const ros::Time stopped = ros::Time::now() - ros::Duration(100.0);
+  client_->broadcast(Eigen::Isometry3d::Identity(), stopped, "stopped_lidar");
+  auto cloud = goodCloud("stopped_lidar");
+  cloud.header.stamp = stopped;
+  client_->publish(cloud);
+  cloud.header.stamp = stopped + ros::Duration(50.0);
+  expectTrouble(cloud, "The newest one is 50 s older than the scan. Has the SLAM stopped?");
 }
 
 TEST_F(BadInput, ByAnotherClockThanTheTransformsIsNamed) {

@@ -11,6 +11,7 @@
 #include <future>
 #include <memory>
 #include <mutex>
+#include <set>
 #include <thread>
 #include <vector>
 
@@ -95,6 +96,13 @@ class SlowWorker {
     changed_.wait(lock, [&] { return worked_.size() > begun; });
   }
 
+  /// Lets it finish what it works on of that block.
+  void finish(int x) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    may_finish_.insert(x);
+    changed_.notify_all();
+  }
+
   /// Lets it work all that waits. @return the blocks' x in the order of work, without the first
   std::vector<int> finishAll() {
     {
@@ -118,7 +126,9 @@ class SlowWorker {
     const std::size_t number = worked_.size();
     busy_ = true;
     changed_.notify_all();
-    changed_.wait(lock, [&] { return open_ || finished_ >= number; });
+    changed_.wait(lock, [&] {
+      return open_ || finished_ >= number || may_finish_.count(header.index.x) > 0U;
+    });
   }
 
   std::mutex mutex_;
@@ -126,6 +136,7 @@ class SlowWorker {
   bool busy_ = false;
   bool open_ = false;
   std::size_t finished_ = 0U;  // blocks that it may finish
+  std::set<int> may_finish_;   // of these tiles
   std::vector<int> worked_;
   std::unique_ptr<BlockWorker<Block>> worker_;
 };
@@ -227,14 +238,23 @@ TEST(BlockWorker, ADraftNeedNotWaitForTheBlockAtWork) {
 
 TEST(BlockWorker, WhereDraftsHaveAThreadTheOtherTakesFinalBlocksFirst) {
   SlowWorker worker(kNever, BlockWorker<Block>::Drafts::kBeside);
-  worker.pushDraft(0, 1U);
-  EXPECT_TRUE(worker.hasBegun(0));
   worker.push(2, 2U, false);
-  worker.pushDraft(1, 3U);
   worker.push(50, 4U, true);
   worker.finishOne();
   EXPECT_TRUE(worker.hasBegun(50));
-  EXPECT_FALSE(worker.hasBegun(1));
+  EXPECT_FALSE(worker.hasBegun(2));
+}
+
+// Side by side both would be done when the second one is.
+TEST(BlockWorker, DraftsAreWorkedOneAfterAnother) {
+  SlowWorker worker(kNever, BlockWorker<Block>::Drafts::kBeside);
+  worker.pushDraft(0, 1U);
+  EXPECT_TRUE(worker.hasBegun(0));
+  worker.pushDraft(1, 3U);
+  worker.finish(100);
+  EXPECT_FALSE(worker.hasBegun(1)) << "while 0 is at work, though the other thread is idle";
+  worker.finish(0);
+  EXPECT_TRUE(worker.hasBegun(1));
 }
 
 TEST(BlockWorker, NorForAnEarlierPassElsewhere) {

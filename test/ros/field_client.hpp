@@ -48,34 +48,60 @@ class FieldClient {
 
   void publish(const sensor_msgs::PointCloud2& cloud) { points_.publish(cloud); }
 
-  /// The field in `count` scans of a sensor that drives past and, if so asked, back, 10 a second,
-  /// each with its tf, by a SLAM whose map is `shift` off.
+  /// How the sensor and the SLAM behave.
+  struct Sensor {
+    double rate = 10.0;     ///< scans a second
+    double tf_rate = 20.0;  ///< transforms a second
+    double tf_late = 0.05;  ///< how long after its stamp a transform comes [s]
+    std::string layout;     ///< whose driver's, see laidOutBy(); empty: x, y, z
+  };
+
+  /// The field in `count` scans of a sensor that drives past and, if so asked, back, each with its
+  /// tf, by a SLAM whose map is `shift` off.
   void driveBy(int count, const Eigen::Vector3d& shift = Eigen::Vector3d::Zero(),
                bool back = false) {
+    driveBy(count, Sensor(), shift, back);
+  }
+  void driveBy(int count, const Sensor& sensor,
+               const Eigen::Vector3d& shift = Eigen::Vector3d::Zero(), bool back = false) {
     // Without a pause where one drive follows another, however slow the machine.
     if (next_stamp_ + ros::Duration(5.0) < ros::Time::now()) next_stamp_ = ros::Time::now();
-    for (int k = 0; k < count; ++k) {
-      const Eigen::Isometry3d pose = sensorPose(back ? count - k : k, count);
-      publish(cloudOf(field_, pose, "lidar", next_stamp_, static_cast<std::size_t>(k),
-                      static_cast<std::size_t>(count)));
-      // The SLAM is later than the scan that it places.
-      ros::WallDuration(0.05).sleep();
-      for (const double late : {0.5, 0.0}) {  // of a scan's time
-        const double step = std::max(k - late, 0.0);
-        Eigen::Isometry3d estimate = sensorPose(back ? count - step : step, count);
-        estimate.pretranslate(shift);
-        broadcast(estimate, next_stamp_ - ros::Duration(0.1 * late));
+    const auto poseAt = [&](double seconds) {
+      const double k = std::min(std::max(seconds * sensor.rate, 0.0), static_cast<double>(count));
+      return sensorPose(back ? count - k : k, count);
+    };
+    const double lasts = count / sensor.rate;  // [s]
+    int scan = 0;
+    int transform = -1;
+    const ros::WallTime begin = ros::WallTime::now();
+    while (scan < count || (transform - 1) / sensor.tf_rate < lasts) {
+      const double now = (ros::WallTime::now() - begin).toSec();
+      const double taken = scan / sensor.rate;
+      if (scan < count && taken <= now) {
+        publish(
+            laidOutBy(sensor.layout,
+                      cloudOf(field_, poseAt(taken), "lidar", next_stamp_ + ros::Duration(taken),
+                              static_cast<std::size_t>(scan), static_cast<std::size_t>(count))));
+        ++scan;
       }
-      spinFor(0.05);
-      next_stamp_ += ros::Duration(0.1);
+      const double estimated = transform / sensor.tf_rate;
+      if (estimated + sensor.tf_late <= now) {
+        Eigen::Isometry3d estimate = poseAt(estimated);
+        estimate.pretranslate(shift);
+        broadcast(estimate, next_stamp_ + ros::Duration(estimated));
+        ++transform;
+      }
+      spinFor(0.005);
     }
+    next_stamp_ += ros::Duration(lasts);
   }
 
-  void broadcast(const Eigen::Isometry3d& T_map_lidar, const ros::Time& stamp) {
+  void broadcast(const Eigen::Isometry3d& T_map_lidar, const ros::Time& stamp,
+                 const std::string& frame = "lidar") {
     geometry_msgs::TransformStamped transform;
     transform.header.stamp = stamp;
     transform.header.frame_id = "map";
-    transform.child_frame_id = "lidar";
+    transform.child_frame_id = frame;
     const Eigen::Quaterniond q(T_map_lidar.rotation());
     transform.transform.translation.x = T_map_lidar.translation().x();
     transform.transform.translation.y = T_map_lidar.translation().y();

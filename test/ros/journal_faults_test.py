@@ -65,6 +65,17 @@ class JournalFaultsTest(unittest.TestCase):
     def play(self):
         return self.start("rosbag", "play", "--quiet", "--wait-for-subscribers", self.bag)
 
+    def fill_disk(self):
+        """The file that takes all that is left."""
+        filler = os.path.join(self.disk, "filler")
+        try:
+            with open(filler, "wb", buffering=0) as file:
+                while True:
+                    file.write(bytes(4096))
+        except OSError:
+            pass
+        return filler
+
     def said(self):
         with open(self.log.name) as log:
             return log.read()
@@ -78,13 +89,7 @@ class JournalFaultsTest(unittest.TestCase):
     def test_full_disk_is_named_and_nothing_is_lost(self):
         chain = self.start_chain()
         self.assertTrue(wait_until(lambda: os.path.exists(self.journal), 60.0), self.said())
-        filler = os.path.join(self.disk, "filler")
-        try:
-            with open(filler, "wb", buffering=0) as file:
-                while True:
-                    file.write(bytes(4096))
-        except OSError:
-            pass
+        filler = self.fill_disk()
         player = self.play()
         self.assertTrue(self.hears("full"), self.said())
         self.assertIn("Measuring goes on; what is measured waits in memory", self.said())
@@ -93,6 +98,19 @@ class JournalFaultsTest(unittest.TestCase):
         self.assertIsNone(chain.poll(), "the launch ended: " + self.said())
         os.remove(filler)
         self.assertTrue(wait_until(self.all_are_reported, 60.0), self.said())
+
+    def test_disk_that_fills_up_while_plants_are_reported_is_named_and_nothing_is_lost(self):
+        self.start_chain()
+        player = self.play()
+        self.assertTrue(wait_until(lambda: len(reported(self.journal)) > 0, 60.0), self.said())
+        filler = self.fill_disk()
+        self.assertTrue(self.hears("Measuring goes on; what is measured waits in memory"), self.said())
+        player.wait(120)
+        before = len(reported(self.journal))
+        os.remove(filler)
+        self.assertTrue(
+            wait_until(lambda: len(reported(self.journal)) > before and self.all_are_reported(), 60.0),
+            self.said())
 
     def test_read_only_disk_is_named_and_nothing_is_lost(self):
         self.assertEqual(mount("-o", "remount,ro", self.disk).returncode, 0)

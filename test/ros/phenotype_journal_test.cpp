@@ -5,12 +5,15 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <memory>
 #include <random>
 #include <sstream>
 #include <string>
+#include <thread>
 #include <vector>
 
 namespace field_phenotyping {
@@ -293,6 +296,23 @@ TEST_F(Journal, IsMovedAsideWhole) {
   std::int64_t position = 0;
   EXPECT_TRUE(fresh.readAfter(position).empty());
   EXPECT_EQ(PhenotypeJournal(other, Access::kRead).readAfter(position).size(), 1U);
+}
+
+TEST_F(Journal, HasOneWriterAndIsNotMovedFromUnderIt) {
+  auto writer = std::make_unique<PhenotypeJournal>(path_, Access::kWrite);
+  writer->append(report(1U, 2));
+  const auto write = [&] { PhenotypeJournal(path_, Access::kWrite).append(report(2U, 1)); };
+  EXPECT_THROW(write(), JournalInUse);
+  EXPECT_THROW(moveJournalAside(path_), JournalInUse);
+  writer->append(report(2U, 2));
+  EXPECT_EQ(freeNameBeside(path_), folder_ / "deep" / "journal-1.sqlite");
+  // One that is about to end is waited for.
+  std::thread ends([&] {
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    writer.reset();
+  });
+  EXPECT_NO_THROW(write());
+  ends.join();
 }
 
 TEST_F(Journal, SaysWhatIsWrong) {

@@ -90,6 +90,69 @@ inline sensor_msgs::PointCloud2 cloudOf(const SyntheticField& field,
   return message;
 }
 
+/// The cloud with the fields that a driver gives it, each point with its time over 0.1 s.
+/// @param driver velodyne, ouster or hesai; else the cloud stays as it is
+inline sensor_msgs::PointCloud2 laidOutBy(const std::string& driver,
+                                          const sensor_msgs::PointCloud2& cloud) {
+  using sensor_msgs::PointField;
+  struct Field {
+    const char* name;
+    std::uint32_t offset;
+    std::uint8_t type;
+  };
+  std::vector<Field> fields{{"x", 0U, PointField::FLOAT32},
+                            {"y", 4U, PointField::FLOAT32},
+                            {"z", 8U, PointField::FLOAT32}};
+  const auto add = [&](const std::vector<Field>& more) {
+    fields.insert(fields.end(), more.begin(), more.end());
+  };
+  sensor_msgs::PointCloud2 message = cloud;
+  if (driver == "velodyne") {
+    add({{"intensity", 12U, PointField::FLOAT32},
+         {"ring", 16U, PointField::UINT16},
+         {"time", 18U, PointField::FLOAT32}});
+    message.point_step = 22U;
+  } else if (driver == "ouster") {
+    add({{"intensity", 16U, PointField::FLOAT32},
+         {"t", 20U, PointField::UINT32},
+         {"reflectivity", 24U, PointField::UINT16},
+         {"ring", 26U, PointField::UINT8},
+         {"ambient", 28U, PointField::UINT16},
+         {"range", 32U, PointField::UINT32}});
+    message.point_step = 48U;
+  } else if (driver == "hesai") {
+    add({{"intensity", 16U, PointField::FLOAT32},
+         {"timestamp", 24U, PointField::FLOAT64},
+         {"ring", 32U, PointField::UINT16}});
+    message.point_step = 48U;
+  } else {
+    return cloud;
+  }
+  message.fields.clear();
+  for (const Field& field : fields) {
+    PointField entry;
+    entry.name = field.name;
+    entry.offset = field.offset;
+    entry.datatype = field.type;
+    entry.count = 1U;
+    message.fields.push_back(entry);
+  }
+  message.row_step = message.width * message.point_step;
+  message.data.assign(message.row_step, 0xCDU);
+  const auto put = [&](std::size_t i, std::uint32_t offset, const auto& value) {
+    std::memcpy(message.data.data() + i * message.point_step + offset, &value, sizeof(value));
+  };
+  for (std::size_t i = 0; i < message.width; ++i) {
+    std::memcpy(message.data.data() + i * message.point_step,
+                cloud.data.data() + i * cloud.point_step, 12U);
+    const double after = 0.1 * static_cast<double>(i) / message.width;  // [s]
+    if (driver == "velodyne") put(i, 18U, static_cast<float>(after));
+    if (driver == "ouster") put(i, 20U, static_cast<std::uint32_t>(1e9 * after));
+    if (driver == "hesai") put(i, 24U, cloud.header.stamp.toSec() + after);
+  }
+  return message;
+}
+
 /// Where the sensor is at scan `k` of `count`: it passes the field along x, looking slightly down,
 /// and starts and stops as a rover does.
 inline Eigen::Isometry3d sensorPose(double k, int count) {

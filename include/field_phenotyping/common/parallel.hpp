@@ -48,7 +48,7 @@ class ThreadLimit {
 /// threads help with both.
 class UrgentWork {
  public:
-  static constexpr std::chrono::milliseconds kGivesWay{10};
+  static constexpr std::chrono::milliseconds kGivesWay{30};
 
   UrgentWork();
   ~UrgentWork();

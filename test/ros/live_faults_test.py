@@ -1,0 +1,138 @@
+#!/usr/bin/env python3
+"""What users do to a running chain: two managers with one journal, a bag that is played again and again.
+
+Usage: live_faults_test.py WRITE_TEST_BAG
+"""
+import collections
+import csv
+import math
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+import unittest
+
+from restart_test import free_port, reported, wait_until
+
+
+class LiveFaultsTest(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.addCleanup(self.folder.cleanup)
+        self.bag = os.path.join(self.folder.name, "field.bag")
+        self.truth = [
+            [float(v) for v in line.split()] for line in
+            subprocess.check_output([WRITE_TEST_BAG, self.bag], text=True).splitlines()
+        ]
+        self.output = os.path.join(self.folder.name, "out")
+        self.journal = os.path.join(self.output, "journal.sqlite")
+        self.masters = 0
+
+    def start_master(self, sim_time=False):
+        """The environment of nodes at a ROS master of its own."""
+        self.masters += 1
+        environment = dict(
+            os.environ, ROS_MASTER_URI="http://localhost:%d" % free_port(),
+            ROS_HOME=os.path.join(self.folder.name, "ros%d" % self.masters))
+        port = environment["ROS_MASTER_URI"].rsplit(":", 1)[1]
+        self.start(environment, "roscore", "-p", port)
+        sets_clock = ["rosparam", "set", "/use_sim_time", str(sim_time).lower()]
+        self.assertTrue(wait_until(
+            lambda: subprocess.call(
+                sets_clock, env=environment, stderr=subprocess.DEVNULL) == 0, 60.0))
+        return environment
+
+    def start(self, environment, *command):
+        """The file that it writes what it has to say to."""
+        log = open(os.path.join(self.folder.name, "log%s" % id(command)), "w")
+        process = subprocess.Popen(
+            command, env=environment, stdout=log, stderr=subprocess.STDOUT)
+
+        def end():
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+            log.close()
+
+        self.addCleanup(end)
+        return log.name
+
+    def start_chain(self, environment, *settings):
+        return self.start(
+            environment, "roslaunch", "field_phenotyping", "field_phenotyping.launch",
+            "output:=" + self.output, *settings)
+
+    def play(self, environment, *settings):
+        self.start(
+            environment, "rosbag", "play", "--quiet", "--wait-for-subscribers", *settings, self.bag)
+
+    def ids_by_place(self, journal):
+        """{number of the plant in the truth: its ids}"""
+        ids = collections.defaultdict(set)
+        for plant_id, x, y in reported(journal):
+            offs = [math.hypot(x - t[0], y - t[1]) for t in self.truth]
+            if min(offs) < 0.1:
+                ids[offs.index(min(offs))].add(plant_id)
+        return ids
+
+    def all_are_in(self, journal):
+        return len(self.ids_by_place(journal)) == len(self.truth)
+
+    def test_two_managers_with_one_journal_each_keep_what_they_measure(self):
+        first, second = self.start_master(), self.start_master()
+        first_log = self.start_chain(first)
+        self.assertTrue(
+            wait_until(lambda: identity_of(self.journal) is not None, 60.0), said(first_log))
+        identity = identity_of(self.journal)
+        # With that the second one would take the file from under the first.
+        second_log = self.start_chain(second, "new_journal:=true")
+        self.assertTrue(
+            wait_until(lambda: "is written by another nodelet manager" in said(second_log), 60.0),
+            said(second_log))
+        other = os.path.join(self.output, "journal-1.sqlite")
+        self.assertIn("what is measured here goes to " + other, said(second_log))
+        self.assertIn("Give each manager an output folder of its own", said(second_log))
+        self.play(first)
+        self.play(second)
+        for journal, log in ((self.journal, first_log), (other, second_log)):
+            self.assertTrue(wait_until(lambda: self.all_are_in(journal), 60.0), said(log))
+            ids = self.ids_by_place(journal)
+            self.assertTrue(all(len(names) == 1 for names in ids.values()), dict(ids))
+        self.assertEqual(identity_of(self.journal), identity)
+        self.assertNotIn("another nodelet manager", said(first_log))
+
+    def test_a_bag_played_again_and_again_adds_no_plant(self):
+        environment = self.start_master(sim_time=True)
+        log = self.start_chain(environment)
+        self.play(environment, "--clock", "--loop")
+        self.assertTrue(wait_until(lambda: said(log).count("time went back") >= 3, 60.0), said(log))
+        self.assertTrue(self.all_are_in(self.journal), said(log))
+        ids = self.ids_by_place(self.journal)
+        self.assertTrue(all(len(names) == 1 for names in ids.values()), dict(ids))
+        with open(os.path.join(self.output, "plants.csv")) as table:
+            plants = list(csv.DictReader(table))
+        self.assertEqual(len(plants), len(self.truth), said(log))
+        # It lasts 3 s and begins again before any block is left for long enough.
+        self.assertEqual([plant["final"] for plant in plants], ["1"] * len(plants))
+
+
+def said(log):
+    with open(log) as file:
+        return file.read()
+
+
+def identity_of(journal):
+    if not os.path.exists(journal):
+        return None
+    with sqlite3.connect(journal, timeout=10.0) as database:
+        try:
+            return database.execute(
+                "SELECT value FROM setting WHERE name = 'identity'").fetchone()
+        except sqlite3.OperationalError:  # not set up yet
+            return None
+
+
+if __name__ == "__main__":
+    WRITE_TEST_BAG = sys.argv.pop(1)
+    unittest.main()
