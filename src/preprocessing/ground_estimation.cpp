@@ -5,6 +5,7 @@
 #include <array>
 #include <bitset>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <random>
 #include <utility>
@@ -15,6 +16,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
 #include "field_phenotyping/common/normal_distribution.hpp"
+#include "field_phenotyping/common/order_statistic.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/robust_spread.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
@@ -29,6 +31,7 @@ constexpr float kMinRoughness = 0.002F;  // [m] soil is never smoother than a se
 constexpr float kRidgeHeight = 0.15F;    // [m] the local soil stays this near to the block's plane
 constexpr int kMinNodePoints = 6;
 constexpr std::size_t kPointsOfTask = 4096U;  // that are worked together
+constexpr std::size_t kNodesOfTask = 64U;     // likewise
 
 using Plane = SoilPlane;
 
@@ -209,21 +212,20 @@ std::size_t countPatches(const std::vector<Eigen::Vector3f>& nearby, const Plane
 }
 
 /// Soil round one node: the lower surface of the points near it, as a robust plane.
+/// @param residuals scratch
 GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_plane,
                           const std::vector<Eigen::Vector3f>& nearby, float spacing,
-                          float max_slope) {
+                          float max_slope, std::vector<float>& residuals) {
   GroundModel::Node node;
   node.height = block_plane.heightAt(position.x(), position.y());
   node.stddev = kRidgeHeight / 2.0F;
   if (nearby.size() < static_cast<std::size_t>(kMinNodePoints)) return node;
 
   // Leaves and weeds lie above the soil, so start from a low quantile and let the plane settle.
-  std::vector<float> residuals;
+  residuals.clear();
   for (const Eigen::Vector3f& p : nearby) residuals.push_back(residualOf(block_plane, p));
-  const auto low = residuals.begin() + static_cast<std::ptrdiff_t>(residuals.size() / 5U);
-  std::nth_element(residuals.begin(), low, residuals.end());
   Plane plane = block_plane;
-  plane.c += *low;
+  plane.c += nthOf(residuals, residuals.size() / 5U);
   for (const float tolerance : {0.05F, 0.035F, 0.025F}) {
     plane = refine(plane, nearby, tolerance, max_slope);
   }
@@ -253,19 +255,54 @@ GroundModel::Node fitNode(const Eigen::Vector2f& position, const Plane& block_pl
   return node;
 }
 
-/// Calls visit(node) for those, four at most, within one spacing of a place along x and along y.
-/// @param at the place, in spacings from the corner
-template <class Visit>
-void forEachNodeAround(const Eigen::Vector2f& at, int columns, int rows, Visit&& visit) {
-  const int i = static_cast<int>(at.x());
-  const int j = static_cast<int>(at.y());
-  for (int y = j; y <= std::min(j + 1, rows - 1); ++y) {
-    for (int x = i; x <= std::min(i + 1, columns - 1); ++x) {
-      visit(static_cast<std::size_t>(y) * static_cast<std::size_t>(columns) +
-            static_cast<std::size_t>(x));
+/// Points by the square cells between the nodes of a grid, in their order in each.
+class CellPoints {
+ public:
+  /// @param points that lie in the grid's cells
+  CellPoints(const std::vector<Eigen::Vector3f>& points, const Eigen::Vector2f& corner,
+             float spacing, int columns, int rows)
+      : columns_(columns),
+        begin_(static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows) + 1U, 0U),
+        points_(points.size()) {
+    std::vector<std::uint32_t> cell_of(points.size());
+    parallelChunks(points.size(), kPointsOfTask, [&](std::size_t begin, std::size_t end) {
+      for (std::size_t i = begin; i < end; ++i) {
+        const Eigen::Vector2f at = (points[i].head<2>() - corner) / spacing;
+        cell_of[i] = static_cast<std::uint32_t>(
+            numberOf(static_cast<int>(at.x()), static_cast<int>(at.y())));
+      }
+    });
+    for (const std::uint32_t cell : cell_of) ++begin_[cell];
+    for (std::size_t cell = 1; cell < begin_.size(); ++cell) begin_[cell] += begin_[cell - 1U];
+    // Where each cell ends is counted back while it is filled, to where it begins.
+    for (std::size_t i = points.size(); i-- > 0U;) points_[--begin_[cell_of[i]]] = points[i];
+  }
+
+  const std::vector<Eigen::Vector3f>& points() const { return points_; }
+
+  /// Calls visit(begin, end), numbers of points, for the cells round a node, four at most.
+  template <class Visit>
+  void forEachCellAround(std::size_t node, const Visit& visit) const {
+    const int column = static_cast<int>(node % static_cast<std::size_t>(columns_));
+    const int row = static_cast<int>(node / static_cast<std::size_t>(columns_));
+    for (int y = std::max(row - 1, 0); y <= row; ++y) {
+      for (int x = std::max(column - 1, 0); x <= column; ++x) {
+        const std::size_t cell = numberOf(x, y);
+        visit(begin_[cell], begin_[cell + 1U]);
+      }
     }
   }
-}
+
+ private:
+  std::size_t numberOf(int column, int row) const {
+    return static_cast<std::size_t>(row) * static_cast<std::size_t>(columns_) +
+           static_cast<std::size_t>(column);
+  }
+
+  int columns_;
+  std::vector<std::uint32_t> begin_;  // of each cell, with the end of the last
+  std::vector<Eigen::Vector3f> points_;
+};
 
 /// Nodes without soil of their own take the mean offset (from the block's plane) of seen
 /// neighbours, ring by ring, and a standard deviation that grows with the distance.
@@ -346,9 +383,9 @@ GroundModel withTwiceTheNodes(const GroundModel& ground) {
 std::vector<Eigen::Vector3f> pointsNear(const GroundModel& ground,
                                         const std::vector<Eigen::Vector3f>& points, float most) {
   constexpr std::size_t kEnough = 16U;  // for each node; four share a point
-  const std::vector<float> heights = ground.heightsAbove(points);
-  std::vector<std::uint32_t> near =
-      indicesWhere(points.size(), [&](std::size_t i) { return std::abs(heights[i]) <= most; });
+  const std::vector<std::uint32_t> near = indicesWhere(points.size(), [&](std::size_t i) {
+    return !ground.clearlyAbove(points[i], most) && std::abs(ground.heightAbove(points[i])) <= most;
+  });
   const std::size_t step =
       std::max<std::size_t>(near.size() / (kEnough * ground.nodes().size()), 1U);
   std::vector<Eigen::Vector3f> some;
@@ -359,21 +396,21 @@ std::vector<Eigen::Vector3f> pointsNear(const GroundModel& ground,
 /// Moves the nodes to the middle of the soil points round each, for planes level ridges and
 /// furrows. By how much of it is told by how much more such middles differ from the model than by
 /// chance: on level soil they move by next to nothing.
-GroundModel settled(const GroundModel& ground, const std::vector<Eigen::Vector3f>& points,
-                    float tolerance) {
-  const int columns = ground.columns();
-  const int rows = ground.rows();
+GroundModel settled(const GroundModel& ground, const CellPoints& points, float tolerance) {
   std::vector<GroundModel::Node> nodes = ground.nodes();
-  std::vector<std::vector<float>> nearby(nodes.size());
-  for (const Eigen::Vector3f& point : points) {
-    const float height = ground.heightAbove(point);
-    if (std::abs(height) > tolerance) continue;
-    forEachNodeAround((point.head<2>() - ground.corner()) / ground.spacing(), columns, rows,
-                      [&](std::size_t node) { nearby[node].push_back(height); });
-  }
+  const std::vector<float> heights = ground.heightsAbove(points.points());
   std::vector<Offset> offsets(nodes.size());
-  parallelFor(nodes.size(), [&](std::size_t node) {
-    if (nodes[node].seen != 0U) offsets[node] = offsetOf(nearby[node]);
+  parallelChunks(nodes.size(), kNodesOfTask, [&](std::size_t begin, std::size_t end) {
+    std::vector<float> nearby;
+    for (std::size_t node = begin; node < end; ++node) {
+      if (nodes[node].seen == 0U) continue;
+      nearby.clear();
+      points.forEachCellAround(node, [&](std::uint32_t first, std::uint32_t last) {
+        std::copy_if(heights.begin() + first, heights.begin() + last, std::back_inserter(nearby),
+                     [tolerance](float height) { return std::abs(height) <= tolerance; });
+      });
+      offsets[node] = offsetOf(nearby);
+    }
   });
   // Medians of the field, for at weeds and stems' feet offsets are none of the soil's.
   const auto usualOf = [&](auto value) {
@@ -395,7 +432,8 @@ GroundModel settled(const GroundModel& ground, const std::vector<Eigen::Vector3f
     nodes[node].height += variance / (variance + offset.variance(spread)) * offset.heights.middle;
     nodes[node].stddev = std::min(nodes[node].stddev, std::max(offset.heights.stddev, spread));
   }
-  return {ground.corner(), ground.spacing(), columns, rows, std::move(nodes), ground.observed()};
+  return {ground.corner(), ground.spacing(), ground.columns(),
+          ground.rows(),   std::move(nodes), ground.observed()};
 }
 
 }  // namespace
@@ -420,24 +458,30 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
   const int rows = static_cast<int>((extent.high.y() - extent.low.y()) / spacing) + 2;
   const auto node_count = static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows);
 
-  // 2. Points near that plane, gathered round every node within one spacing.
-  std::vector<std::vector<Eigen::Vector3f>> nearby(node_count);
-  if (observed) {
-    for (const Eigen::Vector3f& p : cloud.points) {
-      if (std::abs(residualOf(block_plane, p)) > kRidgeHeight) continue;
-      forEachNodeAround((p.head<2>() - extent.low) / spacing, columns, rows,
-                        [&](std::size_t node) { nearby[node].push_back(p); });
-    }
-  }
+  // 2. Points near that plane.
+  const std::vector<std::uint32_t> near = indicesWhere(cloud.size(), [&](std::size_t i) {
+    return observed && std::abs(residualOf(block_plane, cloud.points[i])) <= kRidgeHeight;
+  });
+  const CellPoints near_plane(valuesAt(cloud.points, near), extent.low, spacing, columns, rows);
 
-  // 3. The soil at every node.
+  // 3. The soil at every node, of those within one spacing.
   std::vector<GroundModel::Node> nodes(node_count);
-  parallelFor(node_count, [&](std::size_t node) {
-    const std::size_t row = node / static_cast<std::size_t>(columns);
-    const std::size_t column = node % static_cast<std::size_t>(columns);
-    const Eigen::Vector2f position =
-        extent.low + spacing * Eigen::Vector2f(static_cast<float>(column), static_cast<float>(row));
-    nodes[node] = fitNode(position, block_plane, nearby[node], spacing, max_slope);
+  parallelChunks(node_count, kNodesOfTask, [&](std::size_t begin, std::size_t end) {
+    std::vector<Eigen::Vector3f> nearby;
+    std::vector<float> residuals;
+    for (std::size_t node = begin; node < end; ++node) {
+      const std::size_t row = node / static_cast<std::size_t>(columns);
+      const std::size_t column = node % static_cast<std::size_t>(columns);
+      const Eigen::Vector2f position =
+          extent.low +
+          spacing * Eigen::Vector2f(static_cast<float>(column), static_cast<float>(row));
+      nearby.clear();
+      near_plane.forEachCellAround(node, [&](std::uint32_t first, std::uint32_t last) {
+        nearby.insert(nearby.end(), near_plane.points().begin() + first,
+                      near_plane.points().begin() + last);
+      });
+      nodes[node] = fitNode(position, block_plane, nearby, spacing, max_slope, residuals);
+    }
   });
   fillUnseenNodes(nodes, columns, rows);
   GroundModel ground(extent.low, spacing, columns, rows, std::move(nodes), observed);
@@ -447,7 +491,8 @@ GroundModel estimateGround(const PointCloud& cloud, const PreprocessingParameter
   constexpr int kRounds = 2;
   const auto soil = static_cast<float>(parameters.ground_distance);
   ground = withTwiceTheNodes(ground);
-  const std::vector<Eigen::Vector3f> points = pointsNear(ground, cloud.points, kRounds * soil);
+  const CellPoints points(pointsNear(ground, cloud.points, kRounds * soil), ground.corner(),
+                          ground.spacing(), ground.columns(), ground.rows());
   for (int round = 0; round < kRounds; ++round) ground = settled(ground, points, soil);
   return ground;
 }
@@ -460,22 +505,33 @@ std::vector<std::uint8_t> classifyGround(const PointCloud& cloud, const GroundMo
   constexpr float kUsualRoughness = 0.008F;  // [m] at least, of soil that looks smooth here
   constexpr float kFoot = 0.05F;             // [m] of what stands there, above the soil's points
   const auto most = static_cast<float>(parameters.ground_distance);
+  const std::vector<std::uint32_t> low = indicesWhere(cloud.size(), [&](std::size_t i) {
+    return !ground.clearlyAbove(cloud.points[i], most + kFoot) &&
+           ground.heightAbove(cloud.points[i]) < most + kFoot;
+  });
+  enum class Kind : std::uint8_t { kOther, kFoot, kSoil, kUncertain };
+  std::vector<Kind> kinds(low.size(), Kind::kOther);
+  parallelChunks(low.size(), kPointsOfTask, [&](std::size_t begin, std::size_t end) {
+    for (std::size_t k = begin; k < end; ++k) {
+      const Eigen::Vector3f& p = cloud.points[low[k]];
+      const float height = ground.heightAbove(p);
+      const float roughness = ground.stddevAt(p.x(), p.y());
+      const float highest = std::min(most, 3.0F * std::max(roughness, kUsualRoughness));
+      constexpr float kSureSoil = 2.5F;  // standard deviations
+      if (height > highest) {
+        if (height < highest + kFoot) kinds[k] = Kind::kFoot;
+        continue;
+      }
+      is_ground[low[k]] = 1U;
+      kinds[k] = height > kSureSoil * roughness ? Kind::kUncertain : Kind::kSoil;
+    }
+  });
   std::vector<Eigen::Vector3f> feet;     // of what stands on it, seen from above
   std::vector<std::uint32_t> uncertain;  // soil, unless it is such a foot too
-  const std::vector<float> heights = ground.heightsAbove(cloud.points);
-  for (std::size_t i = 0; i < cloud.size(); ++i) {
-    const float height = heights[i];
-    if (height >= most + kFoot) continue;  // as most points
-    const Eigen::Vector3f& p = cloud.points[i];
-    const float roughness = ground.stddevAt(p.x(), p.y());
-    const float highest = std::min(most, 3.0F * std::max(roughness, kUsualRoughness));
-    constexpr float kSureSoil = 2.5F;  // standard deviations
-    if (height > highest) {
-      if (height < highest + kFoot) feet.emplace_back(p.x(), p.y(), 0.0F);
-      continue;
-    }
-    is_ground[i] = 1U;
-    if (height > kSureSoil * roughness) uncertain.push_back(static_cast<std::uint32_t>(i));
+  for (std::size_t k = 0; k < low.size(); ++k) {
+    const Eigen::Vector3f& p = cloud.points[low[k]];
+    if (kinds[k] == Kind::kFoot) feet.emplace_back(p.x(), p.y(), 0.0F);
+    if (kinds[k] == Kind::kUncertain) uncertain.push_back(low[k]);
   }
   // 2. ...but for the feet of what stands on it.
   constexpr float kReach = 0.012F;      // [m] of a foot about what stands on it
@@ -497,7 +553,8 @@ std::vector<std::uint8_t> soilAtFeet(const PointCloud& cloud, const GroundModel&
   std::vector<std::uint8_t> at_feet(cloud.size(), 0U);
   std::vector<Eigen::Vector3f> feet;  // seen from above
   const auto isFoot = [&](std::size_t i) {
-    return is_ground[i] == 0U && ground.heightAbove(cloud.points[i]) < kStanding;
+    return is_ground[i] == 0U && !ground.clearlyAbove(cloud.points[i], kStanding) &&
+           ground.heightAbove(cloud.points[i]) < kStanding;
   };
   for (const std::uint32_t i : indicesWhere(cloud.size(), isFoot)) {
     feet.emplace_back(cloud.points[i].x(), cloud.points[i].y(), 0.0F);

@@ -21,6 +21,8 @@ GroundModel::GroundModel(const Eigen::Vector2f& corner, float spacing, int colum
       nodes_.size() != static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows)) {
     throw std::invalid_argument("GroundModel: spacing and node count do not describe a grid");
   }
+  highest_ = nodes_.front().height;
+  for (const Node& node : nodes_) highest_ = std::max(highest_, node.height);
 }
 
 template <class Value>

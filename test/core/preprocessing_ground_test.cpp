@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstdio>
+#include <random>
 #include <stdexcept>
 
 #include "field_phenotyping/preprocessing/ground_estimation.hpp"
@@ -75,6 +76,22 @@ void addPlants(Scene& scene) {
       scene.addPlant(plant);
     }
   }
+}
+
+TEST(GroundModel, TellsAtOnceOnlyWhatLiesHigher) {
+  std::mt19937 random(4);
+  std::uniform_real_distribution<float> uniform(-2.0F, 2.0F);
+  std::vector<GroundModel::Node> nodes(20);
+  for (GroundModel::Node& node : nodes) node.height = 90.0F + 0.3F * uniform(random);
+  const GroundModel ground({-1.0F, -1.0F}, 0.5F, 5, 4, nodes, true);
+  int told = 0;
+  for (int k = 0; k < 10000; ++k) {
+    const Eigen::Vector3f point(uniform(random), uniform(random), 90.0F + uniform(random));
+    if (!ground.clearlyAbove(point, 0.2F)) continue;
+    ++told;
+    EXPECT_GT(ground.heightAbove(point), 0.2F);
+  }
+  EXPECT_GT(told, 2000);
 }
 
 TEST(GroundModel, InterpolatesBilinearly) {

@@ -1,17 +1,15 @@
 #pragma once
 
-#include <algorithm>
-#include <cstddef>
 #include <vector>
+
+#include "field_phenotyping/common/order_statistic.hpp"
 
 namespace field_phenotyping {
 
 /// The middle value, the upper one of two. `values` must not be empty.
 template <class Value>
 Value medianOf(std::vector<Value> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2U);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
+  return nthOf(values, values.size() / 2U);
 }
 
 }  // namespace field_phenotyping

@@ -39,8 +39,14 @@ class GroundModel {
   float heightAbove(const Eigen::Vector3f& point) const {
     return point.z() - heightAt(point.x(), point.y());
   }
-  /// The same of many points [m], on several cores.
+  /// heightAbove() of many points [m], on several cores.
   std::vector<float> heightsAbove(const std::vector<Eigen::Vector3f>& points) const;
+  /// Whether `point` lies higher than by `height` [m] above the highest soil of the block, told at
+  /// once: false says nothing of how high it lies.
+  bool clearlyAbove(const Eigen::Vector3f& point, float height) const {
+    constexpr float kRounding = 0.001F;  // [m]
+    return point.z() > highest_ + height + kRounding;
+  }
 
   bool empty() const { return nodes_.empty(); }
   bool observed() const { return observed_; }
@@ -59,6 +65,7 @@ class GroundModel {
   int columns_ = 0;
   int rows_ = 0;
   std::vector<Node> nodes_;
+  float highest_ = 0.0F;  // node
   bool observed_ = false;
 };
 
