@@ -171,7 +171,7 @@ DetachedTop findDetachedTop(const OwnedPoints& points, const NeighborGrid& grid,
 std::vector<float> giveDetachedTops(const Block& block, const NeighborGrid& grid,
                                     std::size_t plants, PointOwners& owners,
                                     PointOwners& isolated) {
-  constexpr float kWrong = 0.1F;  // share of what is given
+  constexpr float kWrong = 0.2F;  // share of what is given
   OwnedPoints points(block, owners, isolated);
   const std::vector<UpperPart> parts = findUpperParts(points, plants);
   const float least_gap = leastGap(points, parts);

@@ -66,8 +66,8 @@ TEST(DetachedTops, GoToThePlantThatTheyAreJoinedTo) {
   const std::vector<std::uint32_t> end = row.addBranch();
   const std::vector<float> doubt = row.give();
   for (const std::uint32_t i : end) EXPECT_EQ(row.owners.plant[i], 1);
-  // One in ten is given away wrongly, and the top was 30 cm higher.
-  EXPECT_NEAR(doubt[0], std::sqrt(0.1F) * 0.3F, 0.005F);
+  // One in five is given away wrongly, and the top was 30 cm higher.
+  EXPECT_NEAR(doubt[0], std::sqrt(0.2F) * 0.3F, 0.005F);
   EXPECT_EQ(doubt[1], 0.0F);
 }
 

@@ -22,7 +22,7 @@ namespace field_phenotyping {
 /// @param plants      how many there are
 /// @param owners      of the points of `block.cloud`; changed
 /// @param isolated    of the points of `block.isolated`; changed
-/// @return standard deviation of each plant's highest point [m] by what it lost or got: one in ten
+/// @return standard deviation of each plant's highest point [m] by what it lost or got: one in five
 ///         of such tops is given away wrongly
 /// Pure function; deterministic; plants are worked side by side.
 std::vector<float> giveDetachedTops(const Block& block, const NeighborGrid& grid,
