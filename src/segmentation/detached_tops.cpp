@@ -86,12 +86,12 @@ std::vector<UpperPart> findUpperParts(const OwnedPoints& points, std::size_t pla
   return parts;
 }
 
-/// What is to go from one plant to another.
+/// What stands above a gap in which points were to be expected.
 struct DetachedTop {
-  std::size_t count = 0U;  // of the plant's highest points
-  std::int32_t to = -1;
-  float gap = 0.0F;   // [m] below it
-  float drop = 0.0F;  // [m] of the plant's top
+  std::size_t count = 0U;  // of the plant's highest points; 0: there is no such gap
+  std::int32_t to = -1;    // the other plant that is near; -1: none
+  float gap = 0.0F;        // [m] below it
+  float drop = 0.0F;       // [m] of the plant's top
 };
 
 /// The other plant that most of these points are nearest to, among those within reach; -1 if there
@@ -161,9 +161,21 @@ DetachedTop findDetachedTop(const OwnedPoints& points, const NeighborGrid& grid,
     if (static_cast<float>(below - k) * gap < kExpected * kBelow) continue;
     const std::int32_t to =
         nearestOther(points, grid, own.data(), own.data() + k, std::min(kNear * gap, kFarthest));
-    if (to >= 0) detached = {k, to, gap, part.top - end};
+    if (to >= 0 || detached.to < 0) detached = {k, to, gap, part.top - end};
   }
   return detached;
+}
+
+/// Share of the tops near other plants that are their own plant's. Where tops are badly seen they
+/// have such gaps too, and then about as many have no other plant near as have one.
+float shareByChance(const std::vector<DetachedTop>& detached) {
+  constexpr float kLeast = 0.1F;  // in stands that are well seen
+  float near = 0.0F;
+  float alone = 0.0F;
+  for (const DetachedTop& top : detached) {
+    if (top.count > 0U) (top.to >= 0 ? near : alone) += 1.0F;
+  }
+  return std::max(kLeast, alone / std::max(near, 1.0F));
 }
 
 }  // namespace
@@ -171,7 +183,7 @@ DetachedTop findDetachedTop(const OwnedPoints& points, const NeighborGrid& grid,
 std::vector<float> giveDetachedTops(const Block& block, const NeighborGrid& grid,
                                     std::size_t plants, PointOwners& owners,
                                     PointOwners& isolated) {
-  constexpr float kWrong = 0.2F;  // share of what is given
+  constexpr float kMostByChance = 0.5F;
   OwnedPoints points(block, owners, isolated);
   const std::vector<UpperPart> parts = findUpperParts(points, plants);
   const float least_gap = leastGap(points, parts);
@@ -180,6 +192,8 @@ std::vector<float> giveDetachedTops(const Block& block, const NeighborGrid& grid
     detached[plant] = findDetachedTop(points, grid, parts[plant], least_gap);
   });
   std::vector<float> moved(plants, 0.0F);  // [m] of each top
+  const float by_chance = shareByChance(detached);
+  if (by_chance >= kMostByChance) return moved;
   for (std::size_t plant = 0; plant < plants; ++plant) {
     const DetachedTop& top = detached[plant];
     if (top.to < 0) continue;
@@ -193,7 +207,7 @@ std::vector<float> giveDetachedTops(const Block& block, const NeighborGrid& grid
     moved[plant] = std::max(moved[plant], top.drop);
     if (fits) moved[to] = std::max(moved[to], rise);
   }
-  for (float& doubt : moved) doubt *= std::sqrt(kWrong);
+  for (float& doubt : moved) doubt *= std::sqrt(by_chance);
   return moved;
 }
 
