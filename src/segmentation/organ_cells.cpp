@@ -8,6 +8,7 @@
 #include "field_phenotyping/common/bounds.hpp"
 #include "field_phenotyping/common/indices_where.hpp"
 #include "field_phenotyping/common/neighbor_grid.hpp"
+#include "field_phenotyping/common/order_statistic.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/partitioned.hpp"
 
@@ -38,12 +39,11 @@ float noiseAcross(const std::vector<Eigen::Vector3f>& centers, const NeighborGri
     if (shape.neighbors >= kLeastNeighbors) curvatures.push_back(shape.curvature);
   }
   if (curvatures.empty()) return 0.0F;
-  const auto thinner = curvatures.begin() + static_cast<std::ptrdiff_t>(
-                                                kThinner * static_cast<float>(curvatures.size()));
-  std::nth_element(curvatures.begin(), thinner, curvatures.end());
+  const auto thinner = static_cast<std::size_t>(kThinner * static_cast<float>(curvatures.size()));
+  const float curvature = nthOf(curvatures, thinner);
   // What is as wide as the neighbourhood, or narrower, has about this sum of variances there.
   constexpr float kVariances = kOrganShape * kOrganShape / 3.0F;
-  return std::sqrt(std::max(0.0F, *thinner - kBend) * kVariances);
+  return std::sqrt(std::max(0.0F, curvature - kBend) * kVariances);
 }
 
 }  // namespace

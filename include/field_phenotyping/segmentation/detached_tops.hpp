@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstddef>
 #include <vector>
 
 #include "field_phenotyping/common/neighbor_grid.hpp"
