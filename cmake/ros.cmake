@@ -64,4 +64,5 @@ catkin_package(
     tf2_ros
     visualization_msgs
   DEPENDS EIGEN3
+  CFG_EXTRAS field_phenotyping-extras.cmake
 )

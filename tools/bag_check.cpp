@@ -45,7 +45,8 @@ constexpr double kCoarse = 0.001;       // [m] steps of coordinates that spoil a
 constexpr double kMostMisses = 0.9;     // share of non-finite points that is still usual
 constexpr double kMostAtOrigin = 0.05;  // share of points in the sensor's very place
 // What simulated seedlings, jointing and tasselling maize of other densities have shown alike
-// (README): below the first few plants are found and hardly a diameter, from the second one on all.
+// (docs/bags.md): below the first few plants are found and hardly a diameter, from the second one
+// on all.
 constexpr double kDensityLeast = 300.0;    // [1/m^2]
 constexpr double kDensityEnough = 2000.0;  // [1/m^2]
 

@@ -37,7 +37,7 @@ REAL_CLOUDS = ('maizefield3d_T8', 'maizefield3d_A679', 'maizefield3d_78551S')
 
 _STAGES = ('tasselling', 'ripe')
 _FIELD = ('--rows', '3', '--plants-per-row', '20', '--points', '450000')  # 7500 points a plant
-_TAKE_CARE = ('poor_fit', 'prior_driven')  # flags of diameters that the README says not to use
+_TAKE_CARE = ('poor_fit', 'prior_driven')  # flags of diameters that docs/output.md says not to use
 
 
 def measure(bench, command, *settings):

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Usage: install_test.bash BUILD PREFIX PYTHON REPLAY_TEST ARGUMENT...
 #
-# Installs the build to PREFIX, the prefix it was configured for, and replays a bag with nothing but
-# the install space in the environment.
+# Installs the build to PREFIX, the prefix it was configured for, and with nothing but the install
+# space in the environment builds a program that uses the core, and replays a bag.
 set -euo pipefail
 
 build=$1 prefix=$2 python=$3
@@ -11,7 +11,7 @@ rm -rf "${prefix}"
 cmake --install "${build}" >/dev/null
 ros=/opt/ros/noetic/setup.bash
 env --ignore-environment HOME="${HOME}" PATH=/usr/bin:/bin PREFIX="${prefix}" ROS="${ros}" \
-  PYTHON="${python}" bash -c '
+  PYTHON="${python}" LIBRARY_TEST="$(dirname "${BASH_SOURCE[0]}")/../library_test.py" bash -c '
     [ ! -f "${ROS}" ] || . "${ROS}"
     . "${PREFIX}/setup.bash"
     case "$(rospack find field_phenotyping)" in
@@ -21,5 +21,6 @@ env --ignore-environment HOME="${HOME}" PATH=/usr/bin:/bin PREFIX="${prefix}" RO
     rosrun field_phenotyping phenotype_cloud --help >/dev/null
     rosrun field_phenotyping simulate_field --help >/dev/null
     rosrun field_phenotyping evaluate --help >/dev/null
+    "${PYTHON}" "${LIBRARY_TEST}" "${PREFIX}"
     exec "${PYTHON}" "$@"
   ' install_test "$@"

@@ -76,8 +76,8 @@ struct Phenotype {
 /// - the diameter's, 1 / (1 + (s / 0.1)^2) with s its standard deviation relative to it, times the
 ///   arc coverage over 0.75, at most 1; 0.25 where there is no diameter;
 /// - the height's, 1 / (1 + (s / 0.05)^2) likewise; 0.25 where there is none;
-/// - a half for each of poor_fit, prior_driven, merged_suspect, ground_missing, low_confidence, and
-///   0.8 for each of arc_below, height_shifted, ground_extrapolated, truncated.
+/// - 0.4 for merged_suspect, a half for each of poor_fit, prior_driven, ground_missing,
+///   low_confidence, and 0.8 for each of arc_below, height_shifted, ground_extrapolated, truncated.
 double qualityScore(const Phenotype& phenotype);
 
 }  // namespace field_phenotyping
