@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <boost/make_shared.hpp>
-#include <cmath>
-#include <sstream>
 #include <utility>
 
 #include "durable_table.hpp"
@@ -15,8 +13,6 @@ namespace {
 
 // So many finished blocks without a plant in any of them are worth a warning.
 constexpr std::size_t kFruitlessBlocks = 3U;
-// A stem needs about so many points per square metre of field to be told from noise.
-constexpr double kSparse = 200.0;
 // Last reports that are kept to be put right: a rover that has left them by more is elsewhere.
 constexpr std::size_t kMostProvisional = 8U;
 const char* const kOvertaken = "revisions overtaken by newer ones";
@@ -126,40 +122,10 @@ void SegmentationStage::noteOutcome(const Block& block, std::size_t plants,
   health.show("points in the last block", static_cast<double>(block.cloud.size()));
   // Soil between and beside the plants is no trouble, nor are blocks that are still being filled.
   if (registry_->size() > 0U || !block.header.final) return;
-  const std::size_t tiles = block.tiles().size();
-  fruitless_.blocks += tiles;
-  if (block.ground.observed()) fruitless_.with_soil += tiles;
-  fruitless_.points += block.cloud.size();
-  for (const Eigen::Vector3f& point : block.cloud.points) {
-    const float height = block.ground.heightAbove(point);
-    const bool in_band =
-        height >= parameters.seed_min_height && height <= parameters.seed_max_height;
-    if (in_band) ++fruitless_.points_in_band;
+  fruitless_.add(block.header, block.cloud.points, block.ground, parameters, block.tiles().size());
+  if (fruitless_.count() >= kFruitlessBlocks) {
+    health.trouble("no plant", fruitless_.reason(parameters));
   }
-  fruitless_.area +=
-      static_cast<double>(tiles) * std::pow(block.header.tile_size + 2.0 * block.header.margin, 2);
-  if (fruitless_.blocks >= kFruitlessBlocks) health.trouble("no plant", whyNoPlant(parameters));
-}
-
-std::string SegmentationStage::whyNoPlant(const SegmentationParameters& parameters) const {
-  std::ostringstream text;
-  const double density = static_cast<double>(fruitless_.points_in_band) / fruitless_.area;
-  text << "no plant found in " << fruitless_.blocks << " blocks (soil seen in "
-       << fruitless_.with_soil << " of them): ";
-  if (fruitless_.points == 0U) {
-    text << "no point is left above the soil. Scattered single points count as noise "
-         << "(outlier_radius, outlier_min_neighbors): is the field near enough to the sensor?";
-  } else if (density < kSparse) {
-    text << "only " << std::lround(density) << " points per square metre at the heights where "
-         << "stems are looked for (" << parameters.seed_min_height << " to "
-         << parameters.seed_max_height << " m), a stem needs hundreds. Is this a field seen from "
-         << "near, are coordinates in metres with z up, does the transform fit?";
-  } else {
-    text << std::lround(density) << " points per square metre, but nothing as upright and thin as "
-         << "a stem. If there are plants, lower seed_min_score (now " << parameters.seed_min_score
-         << ") or seed_min_length (now " << parameters.seed_min_length << " m)";
-  }
-  return text.str();
 }
 
 }  // namespace field_phenotyping

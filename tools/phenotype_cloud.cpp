@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "cloud_check.hpp"
 #include "cloud_files.hpp"
 #include "config_file.hpp"
 #include "field_phenotyping/common/parallel.hpp"
@@ -91,6 +92,7 @@ void run(const Options& options) {
   simulation::ProgressBar progress;
   progress.update("reading", 0.0);
   const CloudFile input = readCloudFile(options.input);
+  requireMetres(options.input, input);
   const PipelineResult result = phenotypeCloud(
       input.cloud, parameters, [&](double share) { progress.update("measuring plants", share); },
       device);
@@ -115,10 +117,8 @@ void run(const Options& options) {
         "phenotype_cloud: warning: %s: the GPU failed in %zu steps, which the CPU did: %s\n",
         time.stage.c_str(), time.use.fallbacks, time.use.last_failure.c_str());
   }
-  if (result.blocks_without_soil > 0U) {
-    std::printf(
-        "no soil seen in %zu of %zu blocks: heights there are from the lowest plant points\n",
-        result.blocks_without_soil, result.blocks.size());
+  for (const std::string& doubt : doubtsAbout(input, result, parameters)) {
+    std::fprintf(stderr, "phenotype_cloud: warning: %s\n", doubt.c_str());
   }
 }
 

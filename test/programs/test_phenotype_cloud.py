@@ -389,6 +389,34 @@ class BadInput(FieldTest):
         self.assert_input_refused(self.write('header.pcd', text), 'header.pcd')
 
 
+    def test_other_units(self):
+        for factor in (1e3, 1e2):  # millimetres, centimetres
+            path = self.path('units.pcd')
+            write_pcd(path, as_cloud(factor * self.positions))
+            self.assert_input_refused(path, 'units.pcd', 'metres', '0.001')
+
+    def warnings_of(self, positions):
+        path = self.path('odd.pcd')
+        write_pcd(path, as_cloud(positions))
+        result = self.measure(path, '-o', self.path('odd'))
+        self.assert_done(result)
+        return '\n'.join(result[2])
+
+    def test_plants_upside_down(self):
+        self.assertIn('z points up', self.warnings_of(self.positions * [1, -1, -1]))
+
+    def test_soil_alone(self):
+        soil = self.positions[:9000]
+        self.assertIn('no plant found in', self.warnings_of(soil))
+
+    def test_utm_in_single_precision(self):
+        shift = np.array([500000.0, 4500000.0, 90.0])
+        self.assertIn('FLOAT64', self.warnings_of(self.positions + shift))
+
+    def test_a_good_field_is_not_warned_of(self):
+        self.assertEqual(self.warnings_of(self.positions), '')
+
+
 class BadOutput(FieldTest):
     def test_below_a_file(self):
         self.assert_refused(

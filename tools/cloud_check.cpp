@@ -1,0 +1,109 @@
+#include "cloud_check.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <sstream>
+#include <stdexcept>
+#include <unordered_map>
+
+#include "field_phenotyping/segmentation/fruitless_blocks.hpp"
+#include "point_file.hpp"
+
+namespace field_phenotyping {
+namespace {
+
+/// Points a square metre where there are any: the median over some of the points.
+std::size_t usualDensity(const PointCloud& cloud) {
+  constexpr std::size_t kAsked = 1000U;
+  const auto square = [](const Eigen::Vector3f& point) {
+    const auto at = [](float value) {
+      constexpr float kFar = 1e9F;  // numbers of squares fit into 32 bits
+      return static_cast<std::uint32_t>(
+          static_cast<std::int32_t>(std::floor(std::clamp(value, -kFar, kFar))));
+    };
+    return std::uint64_t{at(point.x())} << 32U | at(point.y());
+  };
+  std::unordered_map<std::uint64_t, std::size_t> counts;
+  std::vector<std::uint64_t> asked;
+  for (std::size_t i = 0; i < cloud.size(); i += 1U + cloud.size() / kAsked) {
+    if (!cloud.points[i].allFinite()) continue;
+    asked.push_back(square(cloud.points[i]));
+    counts[asked.back()] = 0U;
+  }
+  if (asked.empty()) return 0U;
+  for (const Eigen::Vector3f& point : cloud.points) {
+    if (!point.allFinite()) continue;
+    const auto counted = counts.find(square(point));
+    if (counted != counts.end()) ++counted->second;
+  }
+  std::vector<std::size_t> densities;
+  for (const std::uint64_t key : asked) densities.push_back(counts[key]);
+  const auto middle = densities.begin() + static_cast<std::ptrdiff_t>(densities.size() / 2U);
+  std::nth_element(densities.begin(), middle, densities.end());
+  return *middle;
+}
+
+/// Steps that x and y of the file come in, where they are FLOAT32 [m]; else 0.
+double coordinateStep(const CloudFile& input) {
+  double step = 0.0;
+  for (int axis = 0; axis < 2; ++axis) {
+    const Field field = requireField(input.contents, axis == 0 ? "x" : "y", "input");
+    if (field.isDouble()) continue;
+    const auto far = static_cast<float>(std::abs(input.cloud.origin[axis]));
+    step = std::max(step, static_cast<double>(
+                              std::nextafter(far, std::numeric_limits<float>::infinity()) - far));
+  }
+  return step;
+}
+
+}  // namespace
+
+void requireMetres(const std::string& path, const CloudFile& input) {
+  constexpr std::size_t kFewPoints = 1000U;  // are measured quickly whatever they are
+  constexpr std::size_t kLeast = 20U;        // [1/m^2] no plant is found among fewer
+  if (input.cloud.size() < kFewPoints) return;
+  const std::size_t density = usualDensity(input.cloud);
+  if (density >= kLeast) return;
+  std::ostringstream text;
+  text << path << " has " << density
+       << " points a square metre where it has any, and a plant needs "
+       << "hundreds: x y z must be in metres. Multiply them by 0.001 if they are millimetres, by "
+       << "0.01 if they are centimetres";
+  throw std::runtime_error(text.str());
+}
+
+std::vector<std::string> doubtsAbout(const CloudFile& input, const PipelineResult& result,
+                                     const Parameters& parameters) {
+  constexpr double kCoarse = 0.001;  // [m] steps that blur a stem
+  std::vector<std::string> doubts;
+  const double step = coordinateStep(input);
+  if (step > kCoarse) {
+    std::ostringstream text;
+    text << "so far from the origin FLOAT32 coordinates come in steps of " << step
+         << " m: stems blur. Write x y z as FLOAT64, or subtract an offset before you write them";
+    doubts.push_back(text.str());
+  }
+  if (result.plants.empty()) {
+    FruitlessBlocks fruitless;
+    for (const auto& block : result.blocks) {
+      const SegmentedBlock& segmented = *block->segmented;
+      fruitless.add(segmented.header, segmented.cloud.points, segmented.ground,
+                    parameters.segmentation);
+    }
+    doubts.push_back(fruitless.reason(parameters.segmentation));
+  } else if (result.blocks_without_soil > 0U) {
+    std::ostringstream text;
+    text << "no soil seen in " << result.blocks_without_soil << " of " << result.blocks.size()
+         << " blocks: heights there are from the lowest plant points";
+    if (result.blocks_without_soil == result.blocks.size()) {
+      text
+          << ". Unless the soil was cut away, make sure that z points up: else these are no plants";
+    }
+    doubts.push_back(text.str());
+  }
+  return doubts;
+}
+
+}  // namespace field_phenotyping
