@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "field_phenotyping/common/median.hpp"
+#include "field_phenotyping/common/usual_density.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -244,6 +245,26 @@ Scan toScan(const PointCloud2& message) {
     }
   }
   return scan;
+}
+
+void requireMetres(const Scan& scan) {
+  constexpr std::size_t kFewPoints = 1000U;  // are worked quickly whatever they are
+  constexpr float kWide = 1000.0F;           // [m] so far no scan reaches, and no plot of a field
+  constexpr std::size_t kLeast = 3U;         // [1/m^2]
+  if (scan.cloud.size() < kFewPoints) return;
+  Eigen::Array2f low = Eigen::Array2f::Constant(std::numeric_limits<float>::infinity());
+  Eigen::Array2f high = -low;
+  for (const Eigen::Vector3f& point : scan.cloud.points) {
+    if (!point.allFinite()) continue;
+    low = low.min(point.head<2>().array());
+    high = high.max(point.head<2>().array());
+  }
+  const float width = (high - low).maxCoeff();
+  if (!(width > kWide) || usualDensity(scan.cloud) >= kLeast) return;
+  std::ostringstream text;
+  text << "its points reach over " << width << " m and lie a metre or more apart: x y z must be in "
+       << "metres";
+  throw CloudFormatError(text.str());
 }
 
 double coordinateResolution(const PointCloud2& message, const Scan& scan) {

@@ -30,6 +30,9 @@ void requireValidStamp(const sensor_msgs::PointCloud2& message);
 /// when the layout does not fit the data
 Scan toScan(const sensor_msgs::PointCloud2& message);
 
+/// @throws CloudFormatError when its points lie so far apart that it cannot be in metres
+void requireMetres(const Scan& scan);
+
 /// Smallest step [m] that the coordinates of the cloud can resolve, by their type and magnitude.
 double coordinateResolution(const sensor_msgs::PointCloud2& message, const Scan& scan);
 

@@ -270,7 +270,10 @@ std::string PreprocessingStage::cureOfMissingTransform(const std_msgs::Header& h
   if (unknown(frame)) {
     return nameFrames(frame, "Let the driver stamp scans with that frame, or publish its tf");
   }
-  if (unknown(target_frame_)) return nameFrames(target_frame_, "Set target_frame");
+  if (unknown(target_frame_)) {
+    return "tf knows no '" + target_frame_ + "', only " + listed(known) +
+           "; set target_frame to '" + topFrame(frame) + "', which '" + frame + "' hangs on";
+  }
   const std::optional<double> behind = aheadOfTf(header);
   if (!behind || *behind <= 0.0) {
     return "Is the SLAM running, is target_frame right, is use_sim_time set for a bag?";
@@ -280,6 +283,18 @@ std::string PreprocessingStage::cureOfMissingTransform(const std_msgs::Header& h
        << " s older than the scan. Has the SLAM stopped? If it is "
        << "late, raise tf_timeout by more than that, and queue_size above lag x rate";
   return text.str();
+}
+
+/// The frame that hangs on none and that this one hangs on.
+std::string PreprocessingStage::topFrame(const std::string& frame) const {
+  constexpr int kDeepest = 100;  // a broken tree may lead round and round
+  std::string top = frame;
+  std::string parent;
+  for (int k = 0; k < kDeepest; ++k) {
+    if (!tf_buffer_._getParent(top, ros::Time(), parent) || parent.empty()) break;
+    top = parent;
+  }
+  return top;
 }
 
 /// How much younger a scan is than the newest transform of its frame [s]; nothing where there is
@@ -323,6 +338,7 @@ bool PreprocessingStage::nameOtherClock(const std_msgs::Header& header) {
 void PreprocessingStage::place(const sensor_msgs::PointCloud2ConstPtr& message,
                                const Eigen::Isometry3d& T_target_sensor) {
   const Scan scan = scanOf(*message);
+  if (isRegistered(*message)) requireMetres(scan);  // of others what is out of range is dropped
   noticeTimeJump(message->header.stamp);
   if (isRegistered(*message) != registered_) {
     registered_ = !registered_;

@@ -67,6 +67,7 @@ class PreprocessingStage {
   bool hasRoom() const;
   bool addScan(const WaitingScan& waiting);
   std::optional<Eigen::Isometry3d> findTransform(const WaitingScan& waiting, bool& try_again);
+  std::string topFrame(const std::string& frame) const;
   std::string cureOfMissingTransform(const std_msgs::Header& header) const;
   std::optional<double> aheadOfTf(const std_msgs::Header& header) const;
   bool nameOtherClock(const std_msgs::Header& header);

@@ -178,7 +178,9 @@ class Checker {
       throw std::runtime_error(request.bag +
                                ": has no index, recording was cut off. Cure: rosbag reindex");
     } catch (const rosbag::BagException& error) {
-      throw std::runtime_error(request.bag + ": cannot be read as a bag: " + error.what());
+      throw std::runtime_error(request.bag + ": cannot be read as a ROS 1 bag: " + error.what() +
+                               ". Was its record ended in good order? `rosbag reindex` mends one "
+                               "that was not; a ROS 2 bag must be converted");
     }
   }
 

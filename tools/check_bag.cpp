@@ -47,9 +47,10 @@ void print(const BagReport& report) {
                   report.tf_chain.empty() ? " not connected" : "", report.scans_placed,
                   report.scans, report.longest_tf_gap_s, report.latest_tf_s);
     }
-    std::printf(
-        "density: %.0f points per square metre at stem height, plants of %.1f m on %.1f m^2\n",
-        report.density, report.plant_height, report.area_m2);
+    if (report.area_m2 > 0.0)
+      std::printf(
+          "density: %.0f points per square metre at stem height, plants of %.1f m on %.1f m^2\n",
+          report.density, report.plant_height, report.area_m2);
   }
   for (const Finding& finding : report.findings) {
     std::printf("\n%s, %s: %s\n  cure: %s\n", nameOf(finding.severity), finding.about.c_str(),

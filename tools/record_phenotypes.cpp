@@ -11,6 +11,7 @@
 #include <iostream>
 #include <stdexcept>
 #include <string>
+#include <system_error>
 #include <vector>
 
 #include "phenotype_files.hpp"
@@ -57,7 +58,12 @@ class PhenotypeRecorder {
     }
     directory_ = std::filesystem::absolute(directory_);
     journal_ = pnh.param<std::string>("journal", directory_ / "journal.sqlite");
-    std::filesystem::create_directories(directory_);
+    std::error_code failure;
+    std::filesystem::create_directories(directory_, failure);
+    if (failure) {
+      throw std::runtime_error(directory_.string() + ": cannot be made: " + failure.message() +
+                               "; give another folder, in the launch files as output:=");
+    }
     write();
     export_ = pnh.advertiseService("export", &PhenotypeRecorder::exportNow, this);
     if (end_with_clock_) clock_ = nh.subscribe("/clock", 1, &PhenotypeRecorder::noteClock, this);

@@ -62,6 +62,19 @@ TEST_F(BadInput, AllNanIsNamed) {
   expectTrouble(cloud, "not finite");
 }
 
+TEST_F(BadInput, InMillimetresIsNamed) {
+  auto cloud = goodCloud("map");
+  for (std::size_t i = 0; i < cloud.data.size(); i += cloud.point_step) {
+    for (std::size_t k = 0; k < 3U; ++k) {
+      float value = 0.0F;
+      std::memcpy(&value, cloud.data.data() + i + 4U * k, 4U);
+      value *= 1000.0F;
+      std::memcpy(cloud.data.data() + i + 4U * k, &value, 4U);
+    }
+  }
+  expectTrouble(cloud, "x y z must be in metres");
+}
+
 TEST_F(BadInput, InAnUnknownFrameIsNamed) {
   expectTrouble(goodCloud("nowhere"), "no transform from 'nowhere' to 'map'");
   EXPECT_TRUE(client_->heardOf("preprocessing",

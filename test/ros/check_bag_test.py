@@ -220,7 +220,7 @@ class CheckBagTest(unittest.TestCase):
             file.write("this is no bag\n")
         status, _, error = self.check(path)
         self.assertEqual(status, 2)
-        self.assertIn("cannot be read as a bag", error)
+        self.assertIn("cannot be read as a ROS 1 bag", error)
         with open(self.bag, "rb") as whole, open(path, "wb") as cut:
             cut.write(whole.read()[:20000])
         self.assertEqual(self.check(path)[0], 2)
