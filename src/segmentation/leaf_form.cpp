@@ -233,11 +233,14 @@ float LeafForm::tooFar(const Eigen::Vector3f& place, const LeafHost& host) const
 void LeafForm::learnReaches(const std::vector<Reach>& counts, const std::vector<LeafHost>& hosts) {
   constexpr float kLeastCells = 50.0F;  // that show where organs of a layer stand
   constexpr float kAnywhere = 0.02F;    // share of cells that may be any plant's
-  constexpr float kSay = 0.5F;          // of the log ratio: cells of one organ stand together
+  // Of the log ratio, since cells of one organ stand together. Below the crowns a leaf's direction
+  // and plane tell more.
+  constexpr float kSay = 0.5F;
+  constexpr float kSayBelow = 0.2F;
   const float crowns = heightOfCrowns(hosts);
   reaches_.assign(counts.size(), Reach{});
   for (std::size_t layer = 0; layer < counts.size(); ++layer) {
-    if (static_cast<float>(layer) * kLayer <= crowns) continue;
+    const float say = static_cast<float>(layer) * kLayer > crowns ? kSay : kSayBelow;
     Reach sum{};
     float whole = 0.0F;
     for (std::size_t k = std::max<std::size_t>(layer, 1U) - 1U;
@@ -256,7 +259,7 @@ void LeafForm::learnReaches(const std::vector<Reach>& counts, const std::vector<
       density[bin] = most = std::max(most, sum[bin] / whole / area + kAnywhere / kWholeArea);
     }
     for (std::size_t bin = 0; bin < kFarBins; ++bin) {
-      reaches_[layer][bin] = kSay * std::log(most / density[bin]);
+      reaches_[layer][bin] = say * std::log(most / density[bin]);
     }
   }
 }

@@ -15,6 +15,7 @@
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/segmentation/leaf_form.hpp"
 #include "field_phenotyping/segmentation/leaf_pieces.hpp"
+#include "field_phenotyping/segmentation/leaf_planes.hpp"
 #include "field_phenotyping/segmentation/organ_cells.hpp"
 #include "field_phenotyping/segmentation/organ_rivals.hpp"
 #include "field_phenotyping/segmentation/stem_continuation.hpp"
@@ -33,10 +34,13 @@ using Queue = std::priority_queue<Entry, std::vector<Entry>, std::greater<Entry>
 
 /// For every plant the pieces that stand near enough to be its own. What no plant explains well,
 /// because it is bent or small, is so held against none of them, nor against what hangs on it.
+/// @param planes nothing where not known yet
 std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const LeafPieces& pieces,
                                               const std::vector<LeafHost>& hosts,
-                                              const LeafForm& form, float weight) {
-  constexpr float kFarthest = 1.2F;      // [m] a leaf, and what its stem leans
+                                              const LeafForm& form, float weight,
+                                              const LeafPlanes* planes) {
+  constexpr float kFarthest = 1.2F;  // [m] a leaf, and what its stem leans
+  constexpr float kPlaneWeight = 6.0F;
   constexpr float kWholeCells = 30.0F;   // a piece of so many has its full say
   constexpr std::size_t kSamples = 64U;  // cells that show the form of a piece
   const auto level = [](const Eigen::Vector3f& p) { return Eigen::Vector3f(p.x(), p.y(), 0.0F); };
@@ -55,8 +59,8 @@ std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const Lea
     PieceSamples samples;
     samples.take(cells, members, stride);
     const auto size = static_cast<float>(members.size());
-    const float share =
-        weight * size / (std::max(size, kWholeCells) * static_cast<float>(samples.size()));
+    const float say = size / std::max(size, kWholeCells);
+    const float share = weight * say / static_cast<float>(samples.size());
     grid.forEachWithin(level(cells.centers[members[members.size() / 2U]]), kFarthest,
                        [&](std::uint32_t plant, float) {
                          if (has_stem[plant] == 0U) return;
@@ -67,8 +71,13 @@ std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const Lea
                            const Eigen::Vector3f& center = cells.centers[members[k]];
                            off += form.tooHigh(center, host) + form.tooFar(center, host);
                          }
-                         const float cost = share * form.misfit(samples, host) +
-                                            weight * off / static_cast<float>(samples.size());
+                         float cost = share * form.misfit(samples, host) +
+                                      weight * off / static_cast<float>(samples.size());
+                         if (planes != nullptr) {
+                           cost += kPlaneWeight * say *
+                                   planes->misfit(samples, static_cast<std::uint32_t>(piece), plant,
+                                                  host);
+                         }
                          of_plants[piece].emplace_back(plant, cost);
                        });
   });
@@ -164,18 +173,20 @@ void settlePieces(const std::vector<std::vector<Misfit>>& costs,
 
 /// Gives whole pieces to plants. A plant gets at a piece from its stem or through pieces that this
 /// one continues; every piece on the way costs as much as its form does not fit that plant. The
-/// plant with the cheapest way has it; `settle` then gives pieces that continue one another away
-/// together, which is of use only once the form is known.
+/// plant with the cheapest way has it; once the planes are known, pieces that continue one another
+/// are then given away together.
+/// @param planes nothing where the form is not known yet either
 std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
                                 const std::vector<std::vector<PieceLink>>& links,
                                 const std::vector<LeafHost>& hosts, float reach,
-                                const LeafForm& form, float misfit_weight, bool settle) {
+                                const LeafForm& form, float misfit_weight,
+                                const LeafPlanes* planes) {
   constexpr float kMostCost = 60.0F;
   constexpr float kGapScale = 0.04F;  // [m] of gap between a stem and its leaf that costs 1
   constexpr float kNone = std::numeric_limits<float>::max();
   const std::size_t count = pieces.cells.size();
   const std::vector<std::vector<Misfit>> misfits_of =
-      compareForms(cells, pieces, hosts, form, misfit_weight);
+      compareForms(cells, pieces, hosts, form, misfit_weight, planes);
   const NeighborGrid grid(cells.centers, reach);
   std::vector<std::vector<Misfit>> ways(hosts.size());  // costs of the cheapest of each plant
   std::vector<std::vector<Misfit>> costs_of(hosts.size());
@@ -237,7 +248,7 @@ std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
         if (cost[misfit.piece] < kMostCost) {
           ways[plant].push_back({misfit.piece, cost[misfit.piece]});
           // What the way costs says less of a piece than its own form does.
-          constexpr float kWayShare = 0.5F;
+          constexpr float kWayShare = 0.65F;
           costs_of[plant].push_back(
               {misfit.piece, misfit.cost + kWayShare * (cost[misfit.piece] - misfit.cost)});
         }
@@ -254,7 +265,7 @@ std::vector<Rival> assignPieces(OrganCells& cells, const LeafPieces& pieces,
       plant_of[way.piece] = static_cast<std::int32_t>(plant);
     }
   }
-  if (settle) settlePieces(costs_of, links, plant_of);
+  if (planes != nullptr) settlePieces(costs_of, links, plant_of);
   for (std::size_t piece = 0; piece < count; ++piece) {
     for (const std::uint32_t n : pieces.cells[piece]) cells.owner[n] = plant_of[piece];
   }
@@ -419,10 +430,11 @@ OrganOwners assignOrgans(const Block& block, const std::vector<StemAxis>& axes,
   constexpr float kLooseWeight = 5.0F;
   constexpr float kFirmWeight = 15.0F;
   LeafForm form;
-  assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kLooseWeight, false);
+  assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kLooseWeight, nullptr);
   form = LeafForm::learn(cells, hosts);
+  const LeafPlanes planes = LeafPlanes::learn(cells, pieces, hosts);
   const std::vector<Rival> rivals =
-      assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kFirmWeight, true);
+      assignPieces(cells, pieces, links, hosts, 2.0F * reach, form, kFirmWeight, &planes);
   // Crossings, margins and what is too small or rough to be a piece.
   growPaths(cells, hosts, form, std::min(kOrganStep, reach), false);
   // Gaps that leaves in front have torn; not near the soil, where weeds stand as close.

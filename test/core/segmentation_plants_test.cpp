@@ -634,6 +634,42 @@ TEST_F(OrgansOfAStand, WhatHangsAboveAShortPlantIsATallNeighbours) {
   EXPECT_EQ(shareOf(torn, kShort), 0.0);
 }
 
+/// A stand whose leaves lie across the row, but for the plant in the middle.
+class OrgansInPlanes : public OrgansOfARow {
+ protected:
+  static constexpr int kAlong = 3;
+  static constexpr int kPlants = 7;
+  static constexpr float kSpacing = 0.4F;
+
+  OrgansInPlanes() : OrgansOfARow(stems()) {
+    for (int plant = 0; plant < kPlants; ++plant) {
+      const Eigen::Vector3f foot(kSpacing * static_cast<float>(plant), 0.0F, 0.0F);
+      const Eigen::Vector3f plane =
+          plant == kAlong ? Eigen::Vector3f::UnitX() : Eigen::Vector3f::UnitY();
+      for (int leaf = 0; leaf < 6; ++leaf) {
+        const float side = leaf % 2 == 0 ? 1.0F : -1.0F;
+        const float height = 0.3F + 0.12F * static_cast<float>(leaf);
+        addRibbon(foot + side * 0.01F * plane + height * Eigen::Vector3f::UnitZ(),
+                  foot + side * 0.18F * plane + (height + 0.1F) * Eigen::Vector3f::UnitZ());
+      }
+    }
+  }
+
+  static std::vector<Stem> stems() {
+    std::vector<Stem> stems;
+    for (int k = 0; k < kPlants; ++k) stems.push_back({kSpacing * static_cast<float>(k), 1.6F});
+    return stems;
+  }
+};
+
+TEST_F(OrgansInPlanes, ATornLeafGoesToThePlantInWhosePlaneItLies) {
+  // Level, along the row, and a little nearer to the neighbour.
+  const float middle = kSpacing * (static_cast<float>(kAlong) - 0.5F) - 0.01F;
+  const IndexSpan torn = addRibbon({middle - 0.06F, 0.0F, 1.3F}, {middle + 0.06F, 0.0F, 1.3F});
+  assign(0.20);
+  EXPECT_EQ(shareOf(torn, kAlong), 1.0);
+}
+
 TEST_F(Organs, NoStemsAndNoPoints) {
   EXPECT_TRUE(assignOrgans(Block(), {}, {}, {}).plant.empty());
   std::fill(owner_.begin(), owner_.end(), -1);

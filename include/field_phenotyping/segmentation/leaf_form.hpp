@@ -75,8 +75,8 @@ class LeafForm {
   float tooHigh(const Eigen::Vector3f& place, const LeafHost& host) const;
 
   /// How rarely organs of that height stand so far from the line of their stem, from 0: log of the
-  /// ratio of densities. Only above the stems, where tassels stand, and upper leaves that point
-  /// nowhere; below, a leaf's direction tells more.
+  /// ratio of densities. It says most above the stems, where tassels stand, and upper leaves that
+  /// point nowhere; below, a leaf's direction tells more, but not how far off its stem may be.
   float tooFar(const Eigen::Vector3f& place, const LeafHost& host) const;
 
  private:
