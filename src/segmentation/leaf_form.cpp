@@ -28,26 +28,29 @@ struct Pose {
 };
 
 /// @param segment of the axis, where to look first
-Pose poseOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment) {
-  constexpr float kOnStem = 0.025F;  // [m]
-  constexpr float kUpright = 1e-3F;  // level share of a direction that points nowhere
-  Floats away_x = organ.x;
-  Floats away_y = organ.y;
+AwayLanes awayOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment) {
+  AwayLanes away{organ.x, organ.y};
   for (std::size_t lane = 0; lane < kLanes; ++lane) {
     const Eigen::Vector3f foot = axis.pointAtHeight(organ.z[lane], segment);
-    away_x[lane] -= foot.x();
-    away_y[lane] -= foot.y();
+    away.x[lane] -= foot.x();
+    away.y[lane] -= foot.y();
   }
+  return away;
+}
+
+Pose poseOf(const OrganLanes& organ, const AwayLanes& away) {
+  constexpr float kOnStem = 0.025F;  // [m]
+  constexpr float kUpright = 1e-3F;  // level share of a direction that points nowhere
   const Floats& run_x = organ.direction_x;
   const Floats& run_y = organ.direction_y;
   Pose pose;
-  pose.distance = squareRootOf(away_x * away_x + away_y * away_y);
+  pose.distance = squareRootOf(away.x * away.x + away.y * away.y);
   const Floats level = squareRootOf(run_x * run_x + run_y * run_y);
   pose.known = (pose.distance >= kOnStem) & (level > kUpright);
   // What stands upright points nowhere.
   const Floats share = smallerOf(allOf(1.0F), 2.0F * level) / largerOf(level, allOf(kUpright));
-  pose.miss = magnitudeOf(run_x * away_y - run_y * away_x) * share;
-  const Floats outward = run_x * away_x + run_y * away_y;
+  pose.miss = magnitudeOf(run_x * away.y - run_y * away.x) * share;
+  const Floats outward = run_x * away.x + run_y * away.y;
   const Floats angle = arctangentOf(organ.direction_z * pose.distance, magnitudeOf(outward));
   pose.slope = outward < 0.0F ? -angle : angle;
   return pose;
@@ -107,6 +110,20 @@ void PieceSamples::take(const OrganCells& cells, const std::vector<std::uint32_t
   }
 }
 
+void PieceSamples::lookFrom(const StemAxis& axis) {
+  for (std::vector<float>& values : away_) values.resize(count_ + kLanes);
+  std::size_t segment = 0U;
+  for (std::size_t k = 0; k < count_; k += kLanes) {
+    const AwayLanes away = awayOf(lanesFrom(k), axis, segment);
+    store(away.x, &away_[0][k]);
+    store(away.y, &away_[1][k]);
+  }
+}
+
+AwayLanes PieceSamples::awayFrom(std::size_t k) const {
+  return {loadFloats(&away_[0][k]), loadFloats(&away_[1][k])};
+}
+
 OrganLanes PieceSamples::lanesFrom(std::size_t k) const {
   const auto load = [&](std::size_t value) { return loadFloats(&values_[value][k]); };
   return {load(0U), load(1U), load(2U), load(3U), load(4U), load(5U), load(6U)};
@@ -150,7 +167,7 @@ LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& h
       if (cells.shapes[n].linearity < kLeastLinearity) continue;
       std::size_t segment = 0U;
       const OrganLanes organ = lanesOf(cells.shapes[n], cells.centers[n]);
-      const Pose pose = poseOf(organ, *host.axis, segment);
+      const Pose pose = poseOf(organ, awayOf(organ, *host.axis, segment));
       look.bin = static_cast<std::size_t>(pose.distance[0] / kBin);
       look.band = static_cast<std::size_t>(bandsOf(organ.z, *host.axis)[0]);
       look.slope = pose.slope[0];
@@ -190,14 +207,14 @@ LeafForm LeafForm::learn(const OrganCells& cells, const std::vector<LeafHost>& h
 float LeafForm::misfit(const LocalShape& shape, const Eigen::Vector3f& center,
                        const LeafHost& host) const {
   std::size_t segment = 0U;
-  return misfitOf(lanesOf(shape, center), *host.axis, segment)[0];
+  const OrganLanes organ = lanesOf(shape, center);
+  return misfitOf(organ, awayOf(organ, *host.axis, segment), *host.axis)[0];
 }
 
 float LeafForm::misfit(const PieceSamples& samples, const LeafHost& host) const {
-  std::size_t segment = 0U;
   Floats sum{};
   for (std::size_t k = 0; k < samples.size(); k += kLanes) {
-    sum += misfitOf(samples.lanesFrom(k), *host.axis, segment);
+    sum += misfitOf(samples.lanesFrom(k), samples.awayFrom(k), *host.axis);
   }
   return total(sum);
 }
@@ -219,11 +236,31 @@ float LeafForm::tooHigh(const Eigen::Vector3f& place, const LeafHost& host) cons
 
 float LeafForm::tooFar(const Eigen::Vector3f& place, const LeafHost& host) const {
   if (reaches_.empty()) return 0.0F;
-  const auto layer = static_cast<std::size_t>(heightAboveBase(place, host) / kLayer);
+  return tooFar(heightAboveBase(place, host), distanceFromLine(place, host));
+}
+
+float LeafForm::tooFar(const PieceSamples& samples, const LeafHost& host) const {
+  if (reaches_.empty()) return 0.0F;
+  const float base = host.axis->nodes().front().position.z();
+  float sum = 0.0F;
+  for (std::size_t k = 0; k < samples.size(); k += kLanes) {
+    const AwayLanes away = samples.awayFrom(k);
+    const Floats distances = squareRootOf(away.x * away.x + away.y * away.y);
+    const Floats heights = largerOf(samples.lanesFrom(k).z - base, Floats{});
+    for (std::size_t lane = 0; lane < std::min(kLanes, samples.size() - k); ++lane) {
+      sum += tooFar(heights[lane], distances[lane]);
+    }
+  }
+  return sum;
+}
+
+/// @param height   above the plant's base [m]
+/// @param distance from its line [m]
+float LeafForm::tooFar(float height, float distance) const {
+  const auto layer = static_cast<std::size_t>(height / kLayer);
   const Reach& reach = reaches_[std::min(layer, reaches_.size() - 1U)];
   if (reach.back() == 0.0F) return 0.0F;  // it tells nothing
-  const float at = std::clamp(distanceFromLine(place, host) / kBin - 0.5F, 0.0F,
-                              static_cast<float>(kFarBins) - 1.001F);
+  const float at = std::clamp(distance / kBin - 0.5F, 0.0F, static_cast<float>(kFarBins) - 1.001F);
   const auto k = static_cast<std::size_t>(at);
   const float share = at - static_cast<float>(k);
   return (1.0F - share) * reach[k] + share * reach[k + 1U];
@@ -306,9 +343,9 @@ void LeafForm::learnCeiling(std::vector<std::vector<float>> rises) {
   if (typical < -rise_spread_) ceiling_ = typical + kSpreads * rise_spread_;
 }
 
-Floats LeafForm::misfitOf(const OrganLanes& organ, const StemAxis& axis,
-                          std::size_t& segment) const {
-  const Pose pose = poseOf(organ, axis, segment);
+Floats LeafForm::misfitOf(const OrganLanes& organ, const AwayLanes& away,
+                          const StemAxis& axis) const {
+  const Pose pose = poseOf(organ, away);
   if (!anyOf(pose.known)) return Floats{};
   const Floats at = clampedTo(pose.distance * (1.0F / kBin) - 0.5F, 0.0F, kBins - 1.001F);
   Floats slope{};

@@ -121,10 +121,9 @@ float LeafPlanes::misfit(const PieceSamples& samples, std::uint32_t piece, std::
   const Eigen::Vector2f plane = pull / sureness;
 
   const auto count = static_cast<float>(samples.size());
-  const auto isOne = [&](std::size_t k) { return lanesBefore(samples.size() - k); };
   Floats heights{};
   for (std::size_t k = 0; k < samples.size(); k += kLanes) {
-    heights += isOne(k) ? samples.lanesFrom(k).z : Floats{};
+    heights += samples.areCells(k) ? samples.lanesFrom(k).z : Floats{};
   }
   const float closeness =
       closeness_[layerOf(total(heights) / count, host)] * meanCosineOf(sureness);
@@ -133,20 +132,12 @@ float LeafPlanes::misfit(const PieceSamples& samples, std::uint32_t piece, std::
   // no more than odd.
   const float in_plane = (1.0F - closeness) * (1.0F - closeness);
   const float scale = 1.0F / in_plane;
-  std::size_t segment = 0U;
   Floats sum{};
   float known = 0.0F;
   for (std::size_t k = 0; k < samples.size(); k += kLanes) {
-    const OrganLanes organ = samples.lanesFrom(k);
-    Floats x = organ.x;
-    Floats y = organ.y;
-    for (std::size_t lane = 0; lane < kLanes; ++lane) {
-      const Eigen::Vector3f foot = host.axis->pointAtHeight(organ.z[lane], segment);
-      x[lane] -= foot.x();
-      y[lane] -= foot.y();
-    }
+    const auto [x, y] = samples.awayFrom(k);
     const Floats squared = x * x + y * y;
-    const Integers counts = isOne(k) & (squared > kNear * kNear);
+    const Integers counts = samples.areCells(k) & (squared > kNear * kNear);
     const Floats cosine = ((x * x - y * y) * plane.x() + 2.0F * x * y * plane.y()) /
                           largerOf(squared, allOf(kNear * kNear));
     const Floats rarer = (1.0F + closeness * closeness - 2.0F * closeness * cosine) * scale;

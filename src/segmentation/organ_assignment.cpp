@@ -65,11 +65,11 @@ std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const Lea
                        [&](std::uint32_t plant, float) {
                          if (has_stem[plant] == 0U) return;
                          const LeafHost& host = hosts[plant];
+                         samples.lookFrom(*host.axis);
                          // However small, what stands too high or far cannot be the plant's.
-                         float off = 0.0F;
+                         float off = form.tooFar(samples, host);
                          for (std::size_t k = 0; k < members.size(); k += stride) {
-                           const Eigen::Vector3f& center = cells.centers[members[k]];
-                           off += form.tooHigh(center, host) + form.tooFar(center, host);
+                           off += form.tooHigh(cells.centers[members[k]], host);
                          }
                          float cost = share * form.misfit(samples, host) +
                                       weight * off / static_cast<float>(samples.size());

@@ -62,6 +62,7 @@ class Stand {
   float misfit(const LeafPlanes& planes_of, std::uint32_t piece, std::size_t plant) const {
     PieceSamples samples;
     samples.take(cells, pieces.cells[piece], 3U);  // of 40, so that lanes are left over
+    samples.lookFrom(*hosts[plant].axis);
     return planes_of.misfit(samples, piece, plant, hosts[plant]);
   }
 

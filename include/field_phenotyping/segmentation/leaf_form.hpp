@@ -37,17 +37,28 @@ struct OrganLanes {
   Floats linearity;
 };
 
-/// Some cells of a piece, coordinate by coordinate.
+/// How far kLanes cells are from an axis at their own height [m], level.
+struct AwayLanes {
+  Floats x;
+  Floats y;
+};
+
+/// Some cells of a piece, coordinate by coordinate, and where they are to a plant.
 class PieceSamples {
  public:
   /// Every `stride`-th cell.
   void take(const OrganCells& cells, const std::vector<std::uint32_t>& members, std::size_t stride);
+  void lookFrom(const StemAxis& axis);
   std::size_t size() const { return count_; }
   OrganLanes lanesFrom(std::size_t k) const;
+  AwayLanes awayFrom(std::size_t k) const;  ///< of the axis that they were last looked at from
+  /// Holds in the lanes from k on that are no repetition of the last cell.
+  Integers areCells(std::size_t k) const { return lanesBefore(count_ - k); }
 
  private:
   std::size_t count_ = 0U;
   std::array<std::vector<float>, 7> values_;
+  std::array<std::vector<float>, 2> away_;
 };
 
 /// Form of the leaves of a stand, by the distance from their stem and by height. Maize leaves stay
@@ -66,7 +77,7 @@ class LeafForm {
   /// cross from a neighbour point past the stem and rise the wrong way.
   float misfit(const LocalShape& shape, const Eigen::Vector3f& center, const LeafHost& host) const;
 
-  /// The sum over samples of one piece.
+  /// The sum over samples of one piece, looked at from that axis.
   float misfit(const PieceSamples& samples, const LeafHost& host) const;
 
   /// How much too high a place stands to be an organ of that plant, from 0. In a stand with tassels
@@ -78,6 +89,9 @@ class LeafForm {
   /// ratio of densities. It says most above the stems, where tassels stand, and upper leaves that
   /// point nowhere; below, a leaf's direction tells more, but not how far off its stem may be.
   float tooFar(const Eigen::Vector3f& place, const LeafHost& host) const;
+
+  /// The sum over samples of one piece, looked at from that axis.
+  float tooFar(const PieceSamples& samples, const LeafHost& host) const;
 
  private:
   static constexpr std::size_t kBins = 20U;
@@ -100,7 +114,8 @@ class LeafForm {
 
   static Integers bandsOf(const Floats& z, const StemAxis& axis);
   static Profile profileOf(Samples& samples, const Profile& usual);
-  Floats misfitOf(const OrganLanes& organ, const StemAxis& axis, std::size_t& segment) const;
+  Floats misfitOf(const OrganLanes& organ, const AwayLanes& away, const StemAxis& axis) const;
+  float tooFar(float height, float distance) const;
   bool hasTip(const LeafHost& host) const;
   void learnTips(const std::vector<LeafHost>& hosts);
   void learnCeiling(std::vector<std::vector<float>> rises);

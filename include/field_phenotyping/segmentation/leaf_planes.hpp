@@ -27,7 +27,7 @@ class LeafPlanes {
   /// Log of how much rarer pieces of that plant are where this one is than they would be without a
   /// plane: below 0 in the plane of the plant's other pieces, above 0 across it.
   ///
-  /// @param samples some cells of the piece, at least one
+  /// @param samples some cells of the piece, at least one, looked at from that plant's axis
   /// @param host    the plant itself
   float misfit(const PieceSamples& samples, std::uint32_t piece, std::size_t plant,
                const LeafHost& host) const;
