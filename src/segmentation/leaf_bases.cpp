@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "common/gpu_streams.hpp"
+#include "common/wide_vectors.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
@@ -217,7 +218,7 @@ std::vector<LeafBase> findAlone(const Surroundings& around) {
   LeafSearch<SerialTeam> search(SerialTeam(), around.task(),
                                 {hidden.data(), leaves.data(), candidates.data(), others.data(),
                                  found.data(), kept.data(), &count});
-  found.resize(static_cast<std::size_t>(search.find()));
+  found.resize(static_cast<std::size_t>(withWideVectors([&] { return search.find(); })));
   return found;
 }
 

@@ -361,8 +361,7 @@ class LeafSearch {
   }
 
   /// Log likelihood gained where the leaf is so near to the surface. All members of a group come.
-  [[gnu::noinline]] FIELD_PHENOTYPING_HD_ONCE float evidenceWithin(const LeafBase& base,
-                                                                   float reach) const {
+  FIELD_PHENOTYPING_HD_ONCE float evidenceWithin(const LeafBase& base, float reach) const {
     const Lanes lanes = team_.lanes();
     const float tallest = tallestOf(base, reach);
     const int first = firstAt(base.arc_length - 2.0F * task_.spread);
