@@ -10,6 +10,7 @@
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/common/wide_lanes.hpp"
 #include "segmentation/leaf_search_gpu.hpp"
 
 namespace field_phenotyping {

@@ -8,6 +8,7 @@
 #include "common/xyz.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/common/wide_lanes.hpp"
 #include "field_phenotyping/segmentation/local_shape_team.hpp"
 #include "segmentation/local_shape_gpu.hpp"
 
