@@ -17,6 +17,9 @@ target_link_libraries(field_phenotyping_core
 # Nor does an addition take part in a multiplication unasked: results are the GPU's bit for bit.
 target_compile_options(field_phenotyping_core PRIVATE
   $<$<COMPILE_LANGUAGE:CXX>:-fno-math-errno;-fno-trapping-math;-ffp-contract=off>)
+# They work with vectors wider than every processor's (common/wide_lanes.hpp says why they may).
+set_source_files_properties(${PROJECT_SOURCE_DIR}/src/segmentation/leaf_bases.cpp
+  ${PROJECT_SOURCE_DIR}/src/segmentation/local_shape.cpp PROPERTIES COMPILE_OPTIONS -Wno-psabi)
 if(FIELD_PHENOTYPING_HAS_CUDA)
   target_compile_definitions(field_phenotyping_core PRIVATE FIELD_PHENOTYPING_WITH_CUDA)
   target_compile_options(field_phenotyping_core PRIVATE

@@ -7,6 +7,7 @@
 #include <memory>
 
 #include "common/gpu_streams.hpp"
+#include "common/wide_vectors.hpp"
 #include "completion/bilateral_filter_gpu.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
@@ -99,9 +100,9 @@ BilateralFilter::BilateralFilter(const FilterToSolve& given) : grid_(given.grid)
   if (task.by_color) colors_.resize(nodes_.size());
   double* const weight = memory.get();
   const SerialTeam team;
-  FilterSolver<SerialTeam>(team, task,
-                           {weight, weight + sums, color.data(), is_read.get(), weight + 2U * sums})
-      .run(nodes_.data(), colors_.data());
+  FilterSolver<SerialTeam> solver(
+      team, task, {weight, weight + sums, color.data(), is_read.get(), weight + 2U * sums});
+  withWideVectors([&] { solver.run(nodes_.data(), colors_.data()); });
 }
 
 std::vector<BilateralFilter> solveFilters(const std::vector<const FilterToSolve*>& given,

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "common/gpu_streams.hpp"
+#include "common/wide_vectors.hpp"
 #include "completion/gap_sampling_gpu.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
@@ -161,14 +162,16 @@ std::vector<GapRegion> findGaps(const GapsToFill& given) {
 }
 
 GapSamples sampleGaps(const GapsToFill& given) {
-  const Prepared prepared(given);
-  const FoundGaps found(prepared.task);
-  GapSamples samples;
-  samples.may_have_holes = found.totals.may_have_holes;
-  samples.places.resize(static_cast<std::size_t>(found.totals.samples));
-  spreadOverGaps(SerialTeam(), prepared.task.grid, found.gaps.get(), found.cells.get(),
-                 found.totals.samples, samples.places.data());
-  return samples;
+  return withWideVectors([&] {
+    const Prepared prepared(given);
+    const FoundGaps found(prepared.task);
+    GapSamples samples;
+    samples.may_have_holes = found.totals.may_have_holes;
+    samples.places.resize(static_cast<std::size_t>(found.totals.samples));
+    spreadOverGaps(SerialTeam(), prepared.task.grid, found.gaps.get(), found.cells.get(),
+                   found.totals.samples, samples.places.data());
+    return samples;
+  });
 }
 
 std::vector<GapSamples> sampleGaps(const std::vector<const GapsToFill*>& given,

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "common/gpu_streams.hpp"
+#include "common/wide_vectors.hpp"
 #include "completion/rbf_surface_gpu.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
@@ -167,11 +168,13 @@ double RbfSurface::valueAt(const Vector3& place) const {
 }
 
 std::vector<double> readSurface(const RbfToRead& given) {
-  const RbfSurface surface(given.system);
-  std::vector<double> values;
-  values.reserve(given.places.size());
-  for (const Vector3& place : given.places) values.push_back(surface.valueAt(place));
-  return values;
+  return withWideVectors([&] {
+    const RbfSurface surface(given.system);
+    std::vector<double> values;
+    values.reserve(given.places.size());
+    for (const Vector3& place : given.places) values.push_back(surface.valueAt(place));
+    return values;
+  });
 }
 
 std::vector<std::vector<double>> readSurfaces(const std::vector<const RbfToRead*>& surfaces,

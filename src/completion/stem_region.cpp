@@ -8,6 +8,7 @@
 #include <optional>
 #include <utility>
 
+#include "common/wide_vectors.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/completion/topology_repair.hpp"
 
@@ -405,12 +406,17 @@ class RegionSolver::Work {
   void addFilled(const FilterGrid& grid, std::vector<FilterPoint>& points) const {
     const double turn_a_column = 2.0 * kPi / grid.columns;
     std::vector<double> counts(static_cast<std::size_t>(grid.rows * grid.columns), 0.0);
+    double row_s = std::numeric_limits<double>::quiet_NaN();
+    int at_row = 0;
     for (const CompletedPoint& point : filled_) {
       const double turn = (point.position.theta + kPi) / (2.0 * kPi);
       const auto column = static_cast<int>((turn - std::floor(turn)) * grid.columns);
-      const auto row = static_cast<int>((point.position.s - begin_) / grid.row_height);
-      if (row < 0 || row >= grid.rows || column >= grid.columns) continue;
-      counts[static_cast<std::size_t>(row * grid.columns + column)] += 1.0;
+      if (point.position.s != row_s) {
+        row_s = point.position.s;
+        at_row = static_cast<int>((row_s - begin_) / grid.row_height);
+      }
+      if (at_row < 0 || at_row >= grid.rows || column >= grid.columns) continue;
+      counts[static_cast<std::size_t>(at_row * grid.columns + column)] += 1.0;
     }
     for (int row = 0; row < grid.rows; ++row) {
       const double s = (row + 0.5) * grid.row_height;
@@ -515,7 +521,7 @@ const GapsToFill* RegionSolver::gaps() const {
 }
 
 void RegionSolver::fill(const std::vector<double>& deviations, const GapSamples& samples) {
-  work_->fill(deviations, samples);
+  withWideVectors([&] { work_->fill(deviations, samples); });
 }
 
 const FilterToSolve* RegionSolver::filter() const {
@@ -523,7 +529,7 @@ const FilterToSolve* RegionSolver::filter() const {
 }
 
 StemRegion RegionSolver::finish(BilateralFilter filter) {
-  return work_->finish(std::move(filter));
+  return withWideVectors([&] { return work_->finish(std::move(filter)); });
 }
 
 StemRegion solveRegion(const StemModel& model, long index) {

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "common/gpu_streams.hpp"
+#include "common/wide_vectors.hpp"
 #include "completion/surface_prior_gpu.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
@@ -169,10 +170,10 @@ Fitted fitAlone(const SurfacePriorTask& task) {
   fitted.covariance.resize(kMost * kMost);
   std::vector<double> near(coarse::nearSize(1));
   std::vector<double> far(coarse::farSize(task.count, task.nodes, 1));
-  fitted.fit = SurfacePriorFitter<SerialTeam>(SerialTeam(), task, fitted.curve.data(),
-                                              fitted.coefficients.data(), fitted.covariance.data(),
-                                              near.data(), far.data())
-                   .run();
+  SurfacePriorFitter<SerialTeam> fitter(SerialTeam(), task, fitted.curve.data(),
+                                        fitted.coefficients.data(), fitted.covariance.data(),
+                                        near.data(), far.data());
+  fitted.fit = withWideVectors([&] { return fitter.run(); });
   return fitted;
 }
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "common/wide_vectors.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
 #include "field_phenotyping/measurement/ellipse_fit.hpp"
@@ -125,7 +126,10 @@ CrossSectionStart startCrossSection(const CrossSectionPoints& points,
   double matrix[kCrossSectionSize * kCrossSectionSize];
   double vector[kCrossSectionSize];
   double solution[kCrossSectionSize];
-  return startCrossSection(SerialTeam(), points, task, {&record, &sums, matrix, vector, solution});
+  return withWideVectors([&] {
+    return startCrossSection(SerialTeam(), points, task,
+                             {&record, &sums, matrix, vector, solution});
+  });
 }
 
 }  // namespace field_phenotyping

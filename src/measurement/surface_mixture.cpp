@@ -2,6 +2,7 @@
 
 #include <vector>
 
+#include "common/wide_vectors.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
 
 namespace field_phenotyping {
@@ -12,7 +13,9 @@ SurfaceMixtureFit fitSurfaceMixture(const CrossSectionPoints& points, const Cros
   std::vector<double> shared(mixture::sharedScratchSize(bins));
   std::vector<double> of_point(mixture::pointScratchSize(bins));
   SurfaceMixtureFit fit;
-  fitSurfaceMixture(SerialTeam(), points, task, start, bins, shared.data(), of_point.data(), fit);
+  withWideVectors([&] {
+    fitSurfaceMixture(SerialTeam(), points, task, start, bins, shared.data(), of_point.data(), fit);
+  });
   return fit;
 }
 

@@ -3,6 +3,7 @@
 #include <cmath>
 #include <utility>
 
+#include "common/wide_vectors.hpp"
 #include "field_phenotyping/common/lanes.hpp"
 
 namespace field_phenotyping {
@@ -191,36 +192,38 @@ CurveSamples::Share CurveSamples::expect(const Run& run, const StemCurve& curve,
 
 void CurveSamples::sumSurface(const Run& run, const StemCurve& curve,
                               const std::vector<float>& weights, CellSums& cell) const {
-  const std::size_t node = samples_[run.begin].node;
-  const Eigen::Vector2f low = curve.centers[node].cast<float>();
-  const Eigen::Vector2f step = (curve.centers[node + 1U] - curve.centers[node]).cast<float>();
-  LaneSums sums;
-  const Floats none{};
-  for (std::size_t i = run.begin; i < run.end; i += kLanes) {
-    const Floats weight = lanesBefore(run.end - i) ? loadFloats(&weights[i]) : none;
-    if (!anyOf(weight > none)) continue;
-    const Lanes at = lanesFrom(i);
-    const Floats x = at.u - (low.x() + at.share * step.x());
-    const Floats y = at.v - (low.y() + at.share * step.y());
-    const Floats inverse = 1.0F / squareRootOf(largerOf(x * x + y * y, allOf(kOnAxis)));
-    const Floats toward_x = x * inverse;
-    const Floats toward_y = y * inverse;
-    sums.addSurface(weight, at.share, at.height, toward_x, toward_y,
-                    toward_x * at.u + toward_y * at.v);
-  }
-  sums.addTo(cell);
+  withWideVectors([&] {
+    const std::size_t node = samples_[run.begin].node;
+    const Eigen::Vector2f low = curve.centers[node].cast<float>();
+    const Eigen::Vector2f step = (curve.centers[node + 1U] - curve.centers[node]).cast<float>();
+    LaneSums sums;
+    const Floats none{};
+    for (std::size_t i = run.begin; i < run.end; i += kLanes) {
+      const Floats weight = lanesBefore(run.end - i) ? loadFloats(&weights[i]) : none;
+      if (!anyOf(weight > none)) continue;
+      const Lanes at = lanesFrom(i);
+      const Floats x = at.u - (low.x() + at.share * step.x());
+      const Floats y = at.v - (low.y() + at.share * step.y());
+      const Floats inverse = 1.0F / squareRootOf(largerOf(x * x + y * y, allOf(kOnAxis)));
+      const Floats toward_x = x * inverse;
+      const Floats toward_y = y * inverse;
+      sums.addSurface(weight, at.share, at.height, toward_x, toward_y,
+                      toward_x * at.u + toward_y * at.v);
+    }
+    sums.addTo(cell);
+  });
 }
 
 CurveSamples::Share CurveSamples::expectSurface(const Run& run, const StemCurve& curve,
                                                 const Skin& skin, CellSums& cell,
                                                 std::vector<float>& posterior) const {
-  return expect<true>(run, curve, skin, cell, posterior);
+  return withWideVectors([&] { return expect<true>(run, curve, skin, cell, posterior); });
 }
 
 CurveSamples::Share CurveSamples::expectBlob(const Run& run, const StemCurve& curve,
                                              const Skin& skin, CellSums& cell,
                                              std::vector<float>& posterior) const {
-  return expect<false>(run, curve, skin, cell, posterior);
+  return withWideVectors([&] { return expect<false>(run, curve, skin, cell, posterior); });
 }
 
 }  // namespace field_phenotyping

@@ -6,9 +6,11 @@
 #include <utility>
 
 #include "common/gpu_streams.hpp"
+#include "common/wide_vectors.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/common/wide_lanes.hpp"
 #include "segmentation/leaf_search_gpu.hpp"
 
 namespace field_phenotyping {
@@ -217,7 +219,7 @@ std::vector<LeafBase> findAlone(const Surroundings& around) {
   LeafSearch<SerialTeam> search(SerialTeam(), around.task(),
                                 {hidden.data(), leaves.data(), candidates.data(), others.data(),
                                  found.data(), kept.data(), &count});
-  found.resize(static_cast<std::size_t>(search.find()));
+  found.resize(static_cast<std::size_t>(withWideVectors([&] { return search.find(); })));
   return found;
 }
 

@@ -4,9 +4,11 @@
 #include <array>
 
 #include "common/gpu_streams.hpp"
+#include "common/wide_vectors.hpp"
 #include "common/xyz.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/common/wide_lanes.hpp"
 #include "field_phenotyping/segmentation/local_shape_team.hpp"
 #include "segmentation/local_shape_gpu.hpp"
 
@@ -118,11 +120,13 @@ std::vector<LocalShape> computeLocalShapes(const std::vector<Eigen::Vector3f>& p
   parallelChunks(view.size, kChunk, [&](std::size_t begin, std::size_t end) {
     GrowingTile tile;
     ShapeBatch batch(shapes);
-    shapeMomentsOfChunk(
-        SerialTeam(), view, static_cast<std::uint32_t>(begin), static_cast<std::uint32_t>(end),
-        radius, [&](std::uint32_t candidates) { return tile.of(candidates); },
-        [&](std::uint32_t k, const Moments& moments) { batch.add(view.order[k], moments); });
-    batch.flush();
+    withWideVectors([&] {
+      shapeMomentsOfChunk(
+          SerialTeam(), view, static_cast<std::uint32_t>(begin), static_cast<std::uint32_t>(end),
+          radius, [&](std::uint32_t candidates) { return tile.of(candidates); },
+          [&](std::uint32_t k, const Moments& moments) { batch.add(view.order[k], moments); });
+      batch.flush();
+    });
   });
   return shapes;
 }

@@ -10,6 +10,7 @@
 #include <optional>
 #include <utility>
 
+#include "common/wide_vectors.hpp"
 #include "field_phenotyping/common/lanes.hpp"
 #include "field_phenotyping/common/log_sum.hpp"
 #include "field_phenotyping/common/median.hpp"
@@ -237,7 +238,7 @@ class CurveFit {
   /// beyond [low, high]. No band says more than a few points of a stem would, since leaves are
   /// dense.
   double evidence(double low, double high) const {
-    const std::vector<double> bands = bandEvidence(low, high);
+    const std::vector<double> bands = evidenceOfBands(low, high);
     return std::accumulate(bands.begin(), bands.end(), 0.0);
   }
 
@@ -245,13 +246,13 @@ class CurveFit {
   /// it could show that they do show. A leaf has nothing below.
   /// @param possible of possibleEvidence()
   double rootedEvidence(double low, double high, const std::vector<double>& possible) const {
-    return rooted(bandEvidence(low, high), possible);
+    return rooted(evidenceOfBands(low, high), possible);
   }
 
   /// Both.
   std::array<double, 2> evidences(double low, double high,
                                   const std::vector<double>& possible) const {
-    const std::vector<double> bands = bandEvidence(low, high);
+    const std::vector<double> bands = evidenceOfBands(low, high);
     return {std::accumulate(bands.begin(), bands.end(), 0.0), rooted(bands, possible)};
   }
 
@@ -280,6 +281,9 @@ class CurveFit {
     return sum;
   }
 
+  std::vector<double> evidenceOfBands(double low, double high) const {
+    return withWideVectors([&] { return bandEvidence(low, high); });
+  }
   std::vector<double> bandEvidence(double low, double high) const {
     constexpr std::array<float, 2> kShares{0.2F, 0.7F};
     std::vector<std::array<LogSum, 2>> gains(shares_.size());
@@ -350,7 +354,9 @@ class CurveFit {
     return height < foot_ ? std::max(foot_spread_, spread_) : spread_;
   }
 
-  void iterate(bool surface) { maximise(expect(surface), surface); }
+  void iterate(bool surface) {
+    withWideVectors([&] { maximise(expect(surface), surface); });
+  }
 
   /// How probably each point is the stem's, and what the points then say, by cells between nodes.
   std::vector<CellSums> expect(bool surface) {

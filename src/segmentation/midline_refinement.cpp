@@ -6,6 +6,7 @@
 #include <optional>
 #include <utility>
 
+#include "common/wide_vectors.hpp"
 #include "field_phenotyping/common/lanes.hpp"
 #include "field_phenotyping/segmentation/curve_samples.hpp"
 #include "field_phenotyping/segmentation/stem_curve.hpp"
@@ -84,7 +85,7 @@ class SurfaceFit {
     constexpr int kSettled = 12;  // until the spread is believed
     for (int round = 0; round < kRounds; ++round) {
       const double share = std::min(1.0, (round + 1.0) / kGrowing);
-      iterate((from + (1.0 - from) * share) * length_, round >= kSettled);
+      withWideVectors([&] { iterate((from + (1.0 - from) * share) * length_, round >= kSettled); });
     }
   }
 

@@ -10,6 +10,7 @@
 
 #include "emulated_team.hpp"
 #include "field_phenotyping/common/serial_team.hpp"
+#include "field_phenotyping/common/wide_lanes.hpp"
 #include "field_phenotyping/segmentation/leaf_bases.hpp"
 #include "field_phenotyping/segmentation/leaf_search_team.hpp"
 #include "field_phenotyping/segmentation/stem_growth_team.hpp"

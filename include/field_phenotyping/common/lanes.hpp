@@ -98,15 +98,21 @@ inline Floats magnitudeOf(const Floats& values) {
   return largerOf(values, -values);
 }
 
-/// Exponentials of values in [-87, 87], exact to six digits.
-inline Floats exponentialOf(const Floats& values) {
-  Floats whole;
-  const Floats series = exponentialOver(values, whole);
+/// exponentialOf() for vectors of any length.
+template <class Values, class Whole>
+[[gnu::always_inline]] inline Values exponentialOfLanes(const Values& values) {
+  Values whole;
+  const Values series = exponentialOver(values, whole);
   constexpr std::int32_t kBias = 127;  // of a float's exponent, which begins at bit 23
-  const Integers bits = (__builtin_convertvector(whole, Integers) + kBias) << 23;
-  Floats scale;
+  const Whole bits = (__builtin_convertvector(whole, Whole) + kBias) << 23;
+  Values scale;
   std::memcpy(&scale, &bits, sizeof scale);
   return series * scale;
+}
+
+/// Exponentials of values in [-87, 87], exact to six digits.
+inline Floats exponentialOf(const Floats& values) {
+  return exponentialOfLanes<Floats, Integers>(values);
 }
 
 /// Logarithms of values >= 1, exact to 1e-6 of them or of 1.

@@ -58,8 +58,14 @@ struct VectorLanes {
   static void meet() {}
 };
 
+struct WideLanes;
+struct PairLanes;
+
 /// The team of one thread that the CPU works with (see team.hpp).
 struct SerialTeam {
+  using Wide = WideLanes;  ///< what takes most time has vectors of twice as many values where it is
+                           ///< alone, see wide_lanes.hpp
+  using Pair = PairLanes;  ///< likewise
   static constexpr bool kAlone = true;
   static unsigned rank() { return 0U; }
   static unsigned size() { return 1U; }

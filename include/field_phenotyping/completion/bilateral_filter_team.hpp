@@ -127,21 +127,43 @@ class FilterSolver {
       blurAround(scratch_.value);
     }
     team_.sync();
-    for (int node = rank(); node < grid_.nodes(); node += size()) {
-      const int row = node / grid_.columns - 1;
-      const int column = node % grid_.columns;
-      const int here = at(row, column);
-      nodes[node] = scratch_.is_read[here] != 0U ? nodeAt(row, column) : FilterNode{};
-      if (!task_.by_color) continue;
-      colors[node] = nodes[node].weight > 0.0F ? scratch_.color[here] : FilterColor{};
+    if (task_.by_color) {
+      for (int node = rank(); node < grid_.nodes(); node += size()) {
+        const int row = node / grid_.columns - 1;
+        const int column = node % grid_.columns;
+        const int here = at(row, column);
+        nodes[node] = scratch_.is_read[here] != 0U ? nodeOfColor(row, column) : FilterNode{};
+        colors[node] = nodes[node].weight > 0.0F ? scratch_.color[here] : FilterColor{};
+      }
+      return;
+    }
+    const int pieces = (grid_.columns + kTogether - 1) / kTogether;
+    for (int piece = rank(); piece < (grid_.rows + 2) * pieces; piece += size()) {
+      const int row = piece / pieces;
+      const int column = piece % pieces * kTogether;
+      FilterNode* const first = nodes + row * grid_.columns + column;
+      if (column + kTogether <= grid_.columns) {
+        blurAlong<kTogether>(row - 1, column, first);
+      } else {
+        for (int k = 0; column + k < grid_.columns; ++k)
+          blurAlong<1>(row - 1, column + k, first + k);
+      }
     }
   }
 
  private:
+  static constexpr int kTogether = Team::kAlone ? 4 : 1;  // nodes of a row that a member sums
+
   FIELD_PHENOTYPING_HD int rank() const { return static_cast<int>(team_.rank()); }
   FIELD_PHENOTYPING_HD int size() const { return static_cast<int>(team_.size()); }
   FIELD_PHENOTYPING_HD int at(int row, int column) const {
     return (row + task_.beyond()) * grid_.columns + column;
+  }
+  /// A column at most one turn beside those of the grid.
+  FIELD_PHENOTYPING_HD int turned(int column) const {
+    return column < 0                ? column + grid_.columns
+           : column >= grid_.columns ? column - grid_.columns
+                                     : column;
   }
   /// Whether this member is the one that adds to a node: so every sum is made in one order.
   FIELD_PHENOTYPING_HD bool isOwn(int node) const {
@@ -193,7 +215,7 @@ class FilterSolver {
     const int last = row + 1 < grid_.rows + beyond - 1 ? row + 1 : grid_.rows + beyond - 1;
     for (int r = first; r <= last; ++r) {
       for (int c = column - 1; c <= column + 1; ++c) {
-        const int node = at(r, (c + grid_.columns) % grid_.columns);
+        const int node = at(r, turned(c));
         if (isOwn(node)) scratch_.is_read[node] = 1U;
       }
     }
@@ -216,30 +238,56 @@ class FilterSolver {
         wide[reach + columns + c] = of_row[c];
       }
       team_.lanes().meet();
-      for (int c = lane; c < columns; c += lanes) {
-        const double* middle = wide + reach + c;
-        double sum = task_.around[0] * middle[0];
-        for (int k = 1; k <= reach; ++k) sum += task_.around[k] * (middle[k] + middle[-k]);
-        of_row[c] = sum;
+      int c = lane * kTogether;
+      for (; c + kTogether <= columns; c += lanes * kTogether) {
+        sumAround<kTogether>(wide + reach + c, of_row + c);
       }
+      for (; c < columns; ++c) sumAround<1>(wide + reach + c, of_row + c);
       team_.lanes().meet();
     }
   }
+  template <int kNodes>
+  FIELD_PHENOTYPING_HD void sumAround(const double* middle, double* result) const {
+    double sum[kNodes];
+    for (int j = 0; j < kNodes; ++j) sum[j] = task_.around[0] * middle[j];
+    for (int k = 1; k <= task_.reach_around; ++k) {
+      const double around = task_.around[k];
+      for (int j = 0; j < kNodes; ++j) sum[j] += around * (middle[j + k] + middle[j - k]);
+    }
+    for (int j = 0; j < kNodes; ++j) result[j] = sum[j];
+  }
 
-  FIELD_PHENOTYPING_HD FilterNode nodeAt(int row, int column) const {
+  /// Sums along the stem: some nodes of a row.
+  template <int kNodes>
+  FIELD_PHENOTYPING_HD void blurAlong(int row, int column, FilterNode* nodes) const {
+    double weight[kNodes] = {};
+    double value[kNodes] = {};
+    const int here = at(row, column);
+    bool is_read = false;
+    for (int j = 0; j < kNodes; ++j) is_read = is_read || scratch_.is_read[here + j] != 0U;
+    for (int up = -task_.reach_along; is_read && up <= task_.reach_along; ++up) {
+      const double along = task_.along[up < 0 ? -up : up];
+      const double* weights = scratch_.weight + here + up * grid_.columns;
+      const double* values = scratch_.value + here + up * grid_.columns;
+      for (int j = 0; j < kNodes; ++j) {
+        weight[j] += along * weights[j];
+        value[j] += along * values[j];
+      }
+    }
+    for (int j = 0; j < kNodes; ++j) {
+      const bool known = scratch_.is_read[here + j] != 0U && weight[j] > 0.0;
+      nodes[j] = known ? FilterNode{static_cast<float>(value[j] / weight[j]), 1.0F} : FilterNode{};
+    }
+  }
+
+  FIELD_PHENOTYPING_HD FilterNode nodeOfColor(int row, int column) const {
     double weight = 0.0;
     double value = 0.0;
+    const FilterColor& color = scratch_.color[at(row, column)];
     for (int up = -task_.reach_along; up <= task_.reach_along; ++up) {
       const double along = task_.along[up < 0 ? -up : up];
-      if (!task_.by_color) {
-        const int i = at(row + up, column);
-        weight += along * scratch_.weight[i];
-        value += along * scratch_.value[i];
-        continue;
-      }
-      const FilterColor& color = scratch_.color[at(row, column)];
       for (int side = -task_.reach_around; side <= task_.reach_around; ++side) {
-        const int i = at(row + up, (column + side + grid_.columns) % grid_.columns);
+        const int i = at(row + up, turned(column + side));
         if (!(scratch_.weight[i] > 0.0)) continue;
         const double w =
             along * task_.around[side < 0 ? -side : side] *

@@ -2,6 +2,7 @@
 
 #include <cmath>
 #include <cstddef>
+#include <type_traits>
 #include <utility>
 
 #include "field_phenotyping/common/elementary.hpp"
@@ -361,8 +362,7 @@ class LeafSearch {
   }
 
   /// Log likelihood gained where the leaf is so near to the surface. All members of a group come.
-  [[gnu::noinline]] FIELD_PHENOTYPING_HD_ONCE float evidenceWithin(const LeafBase& base,
-                                                                   float reach) const {
+  FIELD_PHENOTYPING_HD_ONCE float evidenceWithin(const LeafBase& base, float reach) const {
     const Lanes lanes = team_.lanes();
     const float tallest = tallestOf(base, reach);
     const int first = firstAt(base.arc_length - 2.0F * task_.spread);
@@ -372,26 +372,26 @@ class LeafSearch {
     const float* const all_hidden = memory_.hidden;
     const float* const all_leaves = memory_.leaves;
     const auto of = static_cast<std::size_t>(end);
-    const auto gainedAt = [&](std::size_t i) -> Float {
-      const leaf::Places<Float> place{
-          lanes.load(task.arc_lengths, i, of), lanes.load(task.azimuths, i, of),
-          lanes.load(task.distances, i, of), lanes.load(task.radii, i, of)};
-      const leaf::Influence<Float> influence = leaf::influenceOf(lanes, base, place, blur_);
-      const Float stem = lanes.load(task.stem, i, of);
-      const Float hidden = lanes.load(all_hidden, i, of);
-      const Float others = lanes.load(all_leaves, i, of) + task.clutter;
-      const Float before = (1.0F - hidden) * stem + others;
-      const Float after = (1.0F - lanes.larger(hidden, influence.hidden)) * stem + others +
-                          task.stem_density * influence.leaf;
-      return lanes.choose(lanes.atMost(place.distance - place.radius, lanes.all(reach)),
-                          after / before, lanes.all(1.0F));
+    const auto gainedAt = [&](const auto& at, std::size_t i) {
+      using Values = typename std::decay_t<decltype(at)>::Float;
+      const leaf::Places<Values> place{at.load(task.arc_lengths, i, of),
+                                       at.load(task.azimuths, i, of),
+                                       at.load(task.distances, i, of), at.load(task.radii, i, of)};
+      const leaf::Influence<Values> influence = leaf::influenceOf(at, base, place, blur_);
+      const Values stem = at.load(task.stem, i, of);
+      const Values hidden = at.load(all_hidden, i, of);
+      const Values others = at.load(all_leaves, i, of) + task.clutter;
+      const Values before = (1.0F - hidden) * stem + others;
+      const Values after = (1.0F - at.larger(hidden, influence.hidden)) * stem + others +
+                           task.stem_density * influence.leaf;
+      return at.choose(at.atMost(place.distance - place.radius, at.all(reach)), after / before,
+                       at.all(1.0F));
     };
     // One logarithm for many points.
     double sum = 0.0;
     double odds = 1.0;
-    auto i = static_cast<std::size_t>(first);
-    for (; i + kLanes <= of; i += kLanes) {
-      odds *= lanes.product(gainedAt(i));
+    const auto gain = [&](double ratio) {
+      odds *= ratio;
       constexpr double kMost = 0x1p600;
       constexpr double kLogMost = 600.0 * 0.69314718055994531;
       if (odds > kMost) {
@@ -401,9 +401,19 @@ class LeafSearch {
         odds *= kMost;
         sum -= kLogMost;
       }
+    };
+    auto i = static_cast<std::size_t>(first);
+    if constexpr (Team::kAlone) {
+      const typename Team::Wide wide{};
+      for (; i + 2U * kLanes <= of; i += 2U * kLanes) {
+        const auto gained = gainedAt(wide, i);
+        gain(lanes.product(wide.half(gained, 0U)));
+        gain(lanes.product(wide.half(gained, 1U)));
+      }
     }
+    for (; i + kLanes <= of; i += kLanes) gain(lanes.product(gainedAt(lanes, i)));
     if (i < of) {
-      odds *= lanes.product(lanes.choose(lanes.before(i, of), gainedAt(i), lanes.all(1.0F)));
+      odds *= lanes.product(lanes.choose(lanes.before(i, of), gainedAt(lanes, i), lanes.all(1.0F)));
     }
     const float radius = task_.radii[end - 1];
     return static_cast<float>(sum + logarithm(odds)) +

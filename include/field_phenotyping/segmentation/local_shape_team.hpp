@@ -119,6 +119,7 @@ FIELD_PHENOTYPING_HD std::uint32_t loadCandidates(const Team& team, const GridVi
 /// Moments for the shapes of the points of one cell, which have their candidates in common: the
 /// team fetches them, then each of its groups takes one point after the other.
 /// @param candidates how many there are near the cell
+/// @param tile has room for all of them where the team is alone
 /// @param store store(k, moments) of the neighbours of each sorted point k, by one member of the
 /// team
 template <class Team, class Store>
@@ -127,6 +128,24 @@ FIELD_PHENOTYPING_HD void shapeMomentsOfCell(const Team& team, const GridView& g
                                              const Place& high, std::uint32_t candidates,
                                              float radius, const CandidateTile& tile,
                                              Store&& store) {
+  if constexpr (Team::kAlone) {  // its tile holds them all
+    const std::uint32_t all = loadCandidates(team, grid, low, high, radius, 0U, tile);
+    const typename Team::Pair pair{};
+    for (std::uint32_t k = cell.begin; k < cell.end; k += 2U) {
+      const std::uint32_t next = k + 1U < cell.end ? k + 1U : k;
+      LaneMoments<typename Team::Pair> sums;
+      sums.addAround(pair, tile.x, tile.y, tile.z, all,
+                     {pair.pair(grid.x[k], grid.x[next]), pair.pair(grid.y[k], grid.y[next]),
+                      pair.pair(grid.z[k], grid.z[next])},
+                     radius);
+      for (std::uint32_t of = k; of <= next; ++of) {
+        store(of, sums.totalBy([&](const auto& value) {
+          return team.lanes().total(pair.half(value, of - k));
+        }));
+      }
+    }
+    return;
+  }
   const auto lanes = team.lanes();
   std::uint32_t loaded = 0U;
   for (std::uint32_t first = cell.begin; first < cell.end; first += team.groups()) {

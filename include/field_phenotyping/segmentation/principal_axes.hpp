@@ -88,12 +88,20 @@ struct LaneMoments {
   FIELD_PHENOTYPING_HD void add(const Lanes& lanes, const float* points_x, const float* points_y,
                                 const float* points_z, std::size_t points, const Place& place,
                                 float radius) {
+    addAround(lanes, points_x, points_y, points_z, points,
+              {lanes.all(place.x), lanes.all(place.y), lanes.all(place.z)}, radius);
+  }
+  /// Likewise, with a place for each lane.
+  FIELD_PHENOTYPING_HD void addAround(const Lanes& lanes, const float* points_x,
+                                      const float* points_y, const float* points_z,
+                                      std::size_t points,
+                                      const principal_axes::Vector<Float>& place, float radius) {
     const Float limit = lanes.all(radius * radius);
     const Float one = lanes.all(1.0F);
     for (std::size_t k = 0; k < points; k += kLanes) {
-      Float offset_x = lanes.load(points_x, k, points) - lanes.all(place.x);
-      Float offset_y = lanes.load(points_y, k, points) - lanes.all(place.y);
-      Float offset_z = lanes.load(points_z, k, points) - lanes.all(place.z);
+      Float offset_x = lanes.load(points_x, k, points) - place.x;
+      Float offset_y = lanes.load(points_y, k, points) - place.y;
+      Float offset_z = lanes.load(points_z, k, points) - place.z;
       const typename Lanes::Mask near = lanes.both(
           lanes.before(k, points),
           lanes.atMost(offset_x * offset_x + (offset_y * offset_y + offset_z * offset_z), limit));
@@ -115,11 +123,15 @@ struct LaneMoments {
   }
 
   FIELD_PHENOTYPING_HD Moments total(const Lanes& lanes) const {
+    return totalBy([&](const Float& value) { return lanes.total(value); });
+  }
+  /// @param total total(value) of some lanes
+  template <class Total>
+  FIELD_PHENOTYPING_HD Moments totalBy(const Total& total) const {
     Moments moments;
-    moments.count = lanes.total(count);
-    moments.sum = {lanes.total(x), lanes.total(y), lanes.total(z)};
-    moments.squares = {lanes.total(xx), lanes.total(yy), lanes.total(zz),
-                       lanes.total(xy), lanes.total(yz), lanes.total(zx)};
+    moments.count = total(count);
+    moments.sum = {total(x), total(y), total(z)};
+    moments.squares = {total(xx), total(yy), total(zz), total(xy), total(yz), total(zx)};
     return moments;
   }
 };
