@@ -56,9 +56,11 @@ bool areNeighbors(const T& a, const T& b) {
   });
 }
 
-/// Whether `newer` is about all tiles of `older`, each being `alike` there and here.
+/// Whether `newer` is about all tiles of `older`, each being `alike` there and here. A draft of a
+/// part of a tile replaces nothing, for it has not all of its plants.
 template <class T, class Alike>
 bool replaces(const T& newer, const T& older, const Alike& alike) {
+  if (headerOf(newer).isPart()) return false;
   const std::vector<BlockHeader> tiles = tilesOf(newer);
   const std::vector<BlockHeader> others = tilesOf(older);
   return std::all_of(others.begin(), others.end(), [&](const BlockHeader& other) {

@@ -71,12 +71,13 @@ PlantTable::Change DurableTable::update(const BlockHeader& header,
                                         const std::vector<Phenotype>& plants) {
   const ReportSource source(header);
   recall(source.block, plants);
-  PlantTable::Change change = table_.update(source, plants);
+  std::vector<Phenotype> all = table_.withUntouched(header, plants);
+  PlantTable::Change change = table_.update(source, all);
   if (!change.accepted) return change;
   size_ += change.added.size();
   size_ -= change.removed.size();
   begun_ = true;
-  waiting_.push_back({source, plants});
+  waiting_.push_back({source, std::move(all)});
   frame_id_ = header.frame_id;
   write();
   tellInUse();

@@ -506,6 +506,8 @@ bool PreprocessingStage::mayGrow(const std::vector<BlockIndex>& joined) const {
 void PreprocessingStage::handOn(const std::vector<BlockIndex>& indices, bool flush) {
   BlockMaker::Task task{preprocessor_.collect(indices, flush), preprocessor_.parameters()};
   BlockHeader& header = task.points.header;
+  std::optional<Eigen::AlignedBox2d> part;
+  if (!header.final) part = preprocessor_.changedPart(header.index);
   for (BlockHeader& tile : task.points.joined) noteHandedOn(tile);
   if (task.points.joined.empty()) {
     noteHandedOn(header);
@@ -513,15 +515,16 @@ void PreprocessingStage::handOn(const std::vector<BlockIndex>& indices, bool flu
     header.revision = task.points.joined.front().revision;
   }
   const bool has_settled = !header.draft && !header.final;
-  if (has_settled) {
+  if (has_settled && part) {
     // What little has come since the last draft may show further plants, whose first values should
     // not wait for the whole block.
-    BlockMaker::Task draft = task;
+    BlockMaker::Task draft{partOf(task.points, *part), task.parameters};
     draft.points.header.draft = true;
     --draft.points.header.revision;
     draft.whole = std::make_shared<BlockMaker::Task>(std::move(task));
     drafts_->push(std::move(draft));
   } else if (header.draft) {
+    if (part) task.points = partOf(task.points, *part);
     drafts_->push(std::move(task));
   } else {
     maker_->push(std::move(task));
