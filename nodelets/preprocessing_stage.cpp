@@ -113,7 +113,7 @@ void PreprocessingStage::receive(const sensor_msgs::PointCloud2ConstPtr& message
   bool dropped = false;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    last_arrival_ = ros::WallTime::now();
+    last_arrival_ = ros::SteadyTime::now();
     scans_.push_back({message, last_arrival_});
     dropped = scans_.size() > queue_size_;
     if (dropped) scans_.pop_front();
@@ -205,9 +205,9 @@ bool PreprocessingStage::addScan(const WaitingScan& waiting) {
     bool try_again = false;
     const auto T_target_sensor = findTransform(waiting, try_again);
     if (T_target_sensor) {
-      const ros::WallTime begin = ros::WallTime::now();
+      const ros::SteadyTime begin = ros::SteadyTime::now();
       place(waiting.message, *T_target_sensor);
-      const ros::WallTime end = ros::WallTime::now();
+      const ros::SteadyTime end = ros::SteadyTime::now();
       health_.took("work on a scan", (end - begin).toSec());
       health_.took("scan, from its arrival until it is placed", (end - waiting.arrival).toSec());
       health_.count("scans placed");
@@ -238,7 +238,7 @@ std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const Waiting
   if (!frame.empty() && tf_buffer_.canTransform(target_frame_, frame, header.stamp, &reason)) {
     return tf2::transformToEigen(tf_buffer_.lookupTransform(target_frame_, frame, header.stamp));
   }
-  try_again = ros::WallTime::now() - waiting.arrival < tf_timeout_ && !frame.empty();
+  try_again = ros::SteadyTime::now() - waiting.arrival < tf_timeout_ && !frame.empty();
   if (try_again) return std::nullopt;
 
   health_.count("scans dropped: no transform");
@@ -422,12 +422,20 @@ std::optional<Eigen::Vector3d> PreprocessingStage::sensorAt(const std::string& f
 }
 
 void PreprocessingStage::applyParameters() {
-  const bool emptied = preprocessor_.setParameters(effectiveParameters());
+  const PreprocessingParameters parameters = effectiveParameters();
+  const PreprocessingParameters& before = preprocessor_.parameters();
+  const bool new_grid =
+      parameters.voxel_size != before.voxel_size || parameters.block_size != before.block_size;
+  if (new_grid && !only_scan_) handOnBlocks(true, WhenFull::kInAnyCase);
+  const bool emptied = preprocessor_.setParameters(parameters);
   if (!emptied && !only_scan_) return;
   revision_base_ = newest_revision_;
   if (!only_scan_) {
     scans_added_ = 0U;
-    health_.trouble("emptied", "a new voxel_size or block_size empties the map: blocks begin anew");
+    due_since_.clear();
+    health_.trouble("emptied",
+                    "a new voxel_size or block_size empties the map: what was seen so far is "
+                    "measured by itself, and blocks begin anew");
     return;
   }
   // One whole cloud comes only once: it is worked again, so that tuning shows its effect.
@@ -622,7 +630,7 @@ bool PreprocessingStage::isRegistered(const sensor_msgs::PointCloud2& message) c
 
 bool PreprocessingStage::inputIsIdle() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return scans_.empty() && ros::WallTime::now() - last_arrival_ > idle_timeout_;
+  return scans_.empty() && ros::SteadyTime::now() - last_arrival_ > idle_timeout_;
 }
 
 }  // namespace field_phenotyping

@@ -70,7 +70,7 @@ class PhenotypeRecorder {
       ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
       // Only now: writing may have taken longer than the clock may be silent.
       if (clockHasStopped()) break;
-      if (ros::WallTime::now() - looked_ > interval_ && readJournal()) write();
+      if (ros::SteadyTime::now() - looked_ > interval_ && (readJournal() || isRemoved())) write();
     }
     if (ros::ok()) flushStages();
     if (readJournal()) write();
@@ -87,11 +87,11 @@ class PhenotypeRecorder {
     return true;
   }
 
-  void noteClock(const rosgraph_msgs::ClockConstPtr&) { last_clock_ = ros::WallTime::now(); }
+  void noteClock(const rosgraph_msgs::ClockConstPtr&) { last_clock_ = ros::SteadyTime::now(); }
 
   bool clockHasStopped() const {
     return end_with_clock_ && !last_clock_.isZero() &&
-           ros::WallTime::now() - last_clock_ > clock_timeout_;
+           ros::SteadyTime::now() - last_clock_ > clock_timeout_;
   }
 
   /// Stage by stage down the chain.
@@ -108,7 +108,7 @@ class PhenotypeRecorder {
 
   /// @return whether there was something new in it
   bool readJournal() {
-    looked_ = ros::WallTime::now();
+    looked_ = ros::SteadyTime::now();
     if (!std::filesystem::exists(journal_)) return false;
     try {
       // Opened anew each time: the measurement may have begun another one.
@@ -132,14 +132,17 @@ class PhenotypeRecorder {
     return true;
   }
 
+  bool isRemoved() const { return !std::filesystem::exists(directory_ / "plants.csv"); }
+
   bool write() {
-    const ros::WallTime begin = ros::WallTime::now();
+    const ros::SteadyTime begin = ros::SteadyTime::now();
     try {
+      std::filesystem::create_directories(directory_);  // somebody may have removed it
       const std::vector<Phenotype> plants = table_.plants();
       writePhenotypeCsv(directory_ / "plants.csv", plants);
       writePhenotypeGeoJson(directory_ / "plants.geojson", plants, frame_id_);
       writeRowsCsv(directory_ / "rows.csv", plants);
-      interval_ = std::max(kInterval, (ros::WallTime::now() - begin) * kPauses);
+      interval_ = std::max(kInterval, (ros::SteadyTime::now() - begin) * kPauses);
       return true;
     } catch (const std::exception& error) {
       ROS_ERROR_STREAM(error.what());
@@ -159,9 +162,9 @@ class PhenotypeRecorder {
   std::string frame_id_ = "map";
   bool all_written_ = true;
   ros::WallDuration interval_ = kInterval;
-  ros::WallTime looked_;
-  ros::WallTime told_;
-  ros::WallTime last_clock_;
+  ros::SteadyTime looked_;
+  ros::SteadyTime told_;
+  ros::SteadyTime last_clock_;
   ros::ServiceServer export_;
   ros::Subscriber clock_;
 };
