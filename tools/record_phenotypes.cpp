@@ -42,6 +42,8 @@ Parameters
 /// pauses so many times as long as that.
 const ros::WallDuration kInterval(1.0);
 constexpr double kPauses = 10.0;
+/// Looks for the measurement this often.
+const ros::WallDuration kWatchInterval(2.0);
 /// Tells how far it is no more often than this.
 const ros::WallDuration kTellInterval(5.0);
 
@@ -49,6 +51,7 @@ class PhenotypeRecorder {
  public:
   PhenotypeRecorder(ros::NodeHandle nh, ros::NodeHandle pnh)
       : directory_(pnh.param<std::string>("output_dir", "")),
+        measurement_(nh.resolveName("measurement/flush")),
         end_with_clock_(pnh.param("end_with_clock", false)),
         clock_timeout_(pnh.param("clock_timeout", 3.0)) {
     pnh.getParam("flush_services", flush_services_);
@@ -71,6 +74,7 @@ class PhenotypeRecorder {
       // Only now: writing may have taken longer than the clock may be silent.
       if (clockHasStopped()) break;
       if (ros::SteadyTime::now() - looked_ > interval_ && (readJournal() || isRemoved())) write();
+      watchMeasurement();
     }
     if (ros::ok()) flushStages();
     if (readJournal()) write();
@@ -85,6 +89,22 @@ class PhenotypeRecorder {
     response.success = write();
     response.message = std::to_string(table_.size()) + " plants in " + directory_.string();
     return true;
+  }
+
+  /// Loaders without a bond do not notice that the manager has died with all nodelets.
+  void watchMeasurement() {
+    const ros::SteadyTime now = ros::SteadyTime::now();
+    if (now - watched_ < kWatchInterval) return;
+    watched_ = now;
+    const bool is_there = ros::service::exists(measurement_, false);
+    if (was_there_ && !is_there && ros::ok()) {
+      ROS_ERROR_STREAM("the measurement has gone ("
+                       << measurement_
+                       << "): nothing more is measured. Has the nodelet manager died? Launch "
+                          "again, with the same output to go on with the same plants; with "
+                          "respawn:=true the nodelets are loaded again by themselves");
+    }
+    was_there_ = is_there;
   }
 
   void noteClock(const rosgraph_msgs::ClockConstPtr&) { last_clock_ = ros::SteadyTime::now(); }
@@ -152,6 +172,7 @@ class PhenotypeRecorder {
   }
 
   std::filesystem::path directory_;
+  const std::string measurement_;  // a service of that nodelet
   std::string journal_;
   const bool end_with_clock_;
   const ros::WallDuration clock_timeout_;
@@ -164,6 +185,8 @@ class PhenotypeRecorder {
   ros::WallDuration interval_ = kInterval;
   ros::SteadyTime looked_;
   ros::SteadyTime told_;
+  ros::SteadyTime watched_;  // whether the measurement is there
+  bool was_there_ = false;
   ros::SteadyTime last_clock_;
   ros::ServiceServer export_;
   ros::Subscriber clock_;

@@ -315,6 +315,37 @@ TEST(Preprocessor, DueWhenChangedEnoughAndNotTooSoon) {
   EXPECT_TRUE(isDue(preprocessor, index));
 }
 
+TEST(Preprocessor, ARoverThatStandsStillForMinutesIsNotToldOfAgainAndAgain) {
+  // The same beams ten times a second, with 3 mm of noise along them.
+  constexpr std::size_t kScans = 3000U;
+  std::mt19937 random(1U);
+  std::normal_distribution<float> noise(0.0F, 0.003F);
+  Preprocessor preprocessor(unlimitedRange(), "map");
+  const BlockIndex index{0, 0};
+  const Scan seen = patch(0.0, 2.0, kStart);
+  std::size_t drafts = 0U;
+  std::size_t others = 0U;
+  std::size_t late = 0U;  // after the first minute
+  std::size_t voxels_after_a_minute = 0U;
+  for (std::size_t k = 0; k < kScans; ++k) {
+    Scan scan = seen;
+    scan.stamp_ns = kStart + k * (kSecond / 10U);
+    for (Eigen::Vector3f& point : scan.cloud.points) point *= 1.0F + noise(random) / point.norm();
+    preprocessor.addScan(scan, kIdentity);
+    if (k == kScans / 5U) voxels_after_a_minute = preprocessor.voxels();
+    if (!isDue(preprocessor, index)) continue;
+    const BlockHeader header = preprocessor.collect({index}, false).header;
+    EXPECT_FALSE(header.final) << "scans reach it";
+    ++(header.draft ? drafts : others);
+    if (k > kScans / 5U) ++late;
+    preprocessor.markHandedOn(header);
+  }
+  EXPECT_LE(drafts, 6U);
+  EXPECT_LE(others, 6U);
+  EXPECT_LE(late, 2U) << "as stray returns open voxels farther and farther off";
+  EXPECT_LT(preprocessor.voxels(), 3U * voxels_after_a_minute / 2U);
+}
+
 TEST(Preprocessor, ADraftNeedsOnlyThePartInWhichMuchIsNew) {
   PreprocessingParameters parameters = unlimitedRange();
   parameters.block_size = 4.0;
