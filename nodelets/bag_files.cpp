@@ -67,7 +67,8 @@ std::vector<std::string> pathsOf(const std::string& paths) {
   for (std::string word; words >> word;) {
     const std::vector<std::string> some = matching(word);
     if (some.empty()) {
-      throw std::runtime_error("there is no bag '" + word + "'. Give absolute paths; where is it?");
+      throw std::runtime_error("the bag '" + word +
+                               "' cannot be read: there is no such file. Give absolute paths");
     }
     all.insert(some.begin(), some.end());
   }
