@@ -85,8 +85,8 @@ void BagPlayer::run() {
   } catch (const std::exception& error) {
     ROS_FATAL_STREAM("[" << name_ << "] " << error.what());
     // A clock that has begun and stops is the end for those who wait for it, once they are there.
-    const ros::WallTime end = ros::WallTime::now() + kFailureShown;
-    while (running_ && ros::WallTime::now() < end) {
+    const ros::SteadyTime end = ros::SteadyTime::now() + kFailureShown;
+    while (running_ && ros::SteadyTime::now() < end) {
       tick();
       kTick.sleep();
     }
@@ -94,11 +94,7 @@ void BagPlayer::run() {
 }
 
 void BagPlayer::open() {
-  try {
-    bag_.open(path_, rosbag::bagmode::Read);
-  } catch (const rosbag::BagException& error) {
-    throw std::runtime_error("the bag '" + path_ + "' cannot be read: " + error.what());
-  }
+  bags_ = std::make_unique<BagFiles>(path_);
   const auto isPoints = [this](const rosbag::ConnectionInfo* connection) {
     return withSlash(connection->topic) == points_topic_ &&
            connection->datatype == "sensor_msgs/PointCloud2";
@@ -106,15 +102,19 @@ void BagPlayer::open() {
   const auto isTransform = [](const rosbag::ConnectionInfo* connection) {
     return withSlash(connection->topic) == "/tf";
   };
-  scans_ = std::make_unique<rosbag::View>(bag_, isPoints);
-  transforms_ = std::make_unique<rosbag::View>(bag_, isTransform);
+  scans_ = bags_->view(isPoints);
+  transforms_ = bags_->view(isTransform);
   if (scans_->size() > 0U) return;
   std::ostringstream text;
   text << "the bag '" << path_ << "' has no sensor_msgs/PointCloud2 on " << points_topic_
        << ", only:";
-  for (const rosbag::ConnectionInfo* connection : rosbag::View(bag_).getConnections()) {
-    text << " " << connection->topic << " (" << connection->datatype << ")";
+  const std::unique_ptr<rosbag::View> all = bags_->view();
+  std::set<std::string> topics;
+  for (const rosbag::ConnectionInfo* connection : all->getConnections()) {
+    topics.insert(" " + connection->topic + " (" + connection->datatype + ")");
   }
+  for (const std::string& topic : topics) text << topic;
+  text << ". Say which one: points_topic:=TOPIC";
   throw std::runtime_error(text.str());
 }
 
@@ -135,7 +135,8 @@ void BagPlayer::publishStaticTransforms() {
   const auto isStatic = [](const rosbag::ConnectionInfo* connection) {
     return withSlash(connection->topic) == "/tf_static";
   };
-  for (const rosbag::MessageInstance& instance : rosbag::View(bag_, isStatic)) {
+  const std::unique_ptr<rosbag::View> statics = bags_->view(isStatic);
+  for (const rosbag::MessageInstance& instance : *statics) {
     const auto message = instance.instantiate<tf2_msgs::TFMessage>();
     if (!message) continue;
     for (const auto& transform : message->transforms) newest[transform.child_frame_id] = transform;
@@ -146,13 +147,13 @@ void BagPlayer::publishStaticTransforms() {
 }
 
 void BagPlayer::play() {
-  begin_ = told_ = ros::WallTime::now();
+  begin_ = told_ = ros::SteadyTime::now();
   publishStaticTransforms();
   for (std::size_t loop = 0; running_ && loop < loops_; ++loop) playOnce(loop);
   if (!running_) return;
   // The last scan may be kept: nothing follows that would take its place.
   waitForRoom(2U, std::numeric_limits<std::size_t>::max());
-  told_ = ros::WallTime();
+  told_ = ros::SteadyTime();
   tell("all scans are placed");
   if (running_) flush();
 }
@@ -193,7 +194,7 @@ void BagPlayer::flush() {
     tick();
     tell("working what is left");
   }
-  told_ = ros::WallTime();
+  told_ = ros::SteadyTime();
   tell(flushed.get() ? "all is worked"
                      : "a stage could not be flushed: the last plants may be missing");
 }
@@ -228,12 +229,12 @@ void BagPlayer::moveOn(geometry_msgs::TransformStamped& transform, std::size_t l
 
 /// Until fewer scans and blocks than these are in work.
 void BagPlayer::waitForRoom(std::size_t scans, std::size_t blocks) {
-  ros::WallTime changed = ros::WallTime::now();
+  ros::SteadyTime changed = ros::SteadyTime::now();
   std::pair<std::size_t, std::size_t> known{0U, 0U};
   while (running_) {
     const std::pair<std::size_t, std::size_t> in_work{scansInWork(), blocksInWork()};
     if (in_work.first < scans && in_work.second < blocks) return;
-    const ros::WallTime now = ros::WallTime::now();
+    const ros::SteadyTime now = ros::SteadyTime::now();
     if (in_work != known) {
       known = in_work;
       changed = now;
@@ -254,10 +255,10 @@ void BagPlayer::waitForRoom(std::size_t scans, std::size_t blocks) {
 
 void BagPlayer::keepPace(const ros::Time& time) {
   scansInWork();  // forgets those that are done with
-  const ros::WallTime due =
+  const ros::SteadyTime due =
       begin_ + ros::WallDuration((time - scans_->getBeginTime()).toSec() / rate_);
-  while (running_ && ros::WallTime::now() < due) {
-    if (ros::WallTime::now() - ticked_ > kTick) tick();
+  while (running_ && ros::SteadyTime::now() < due) {
+    if (ros::SteadyTime::now() - ticked_ > kTick) tick();
     kPoll.sleep();
   }
 }
@@ -266,12 +267,12 @@ void BagPlayer::tick() {
   rosgraph_msgs::Clock message;
   message.clock = now_;
   clock_.publish(message);
-  ticked_ = ros::WallTime::now();
+  ticked_ = ros::SteadyTime::now();
 }
 
 /// @param last what is said where nothing is left to be played; empty while there is
 void BagPlayer::tell(const std::string& last) {
-  const ros::WallTime now = ros::WallTime::now();
+  const ros::SteadyTime now = ros::SteadyTime::now();
   if (now - told_ < kTellInterval) return;
   told_ = now;
   const double played = (now_ - scans_->getBeginTime()).toSec();

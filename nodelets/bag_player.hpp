@@ -3,7 +3,6 @@
 #include <field_phenotyping/PlantPhenotypeArray.h>
 #include <geometry_msgs/TransformStamped.h>
 #include <ros/ros.h>
-#include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/PointCloud2.h>
 
@@ -19,6 +18,7 @@
 #include <thread>
 #include <vector>
 
+#include "bag_files.hpp"
 #include "field_phenotyping/preprocessing/block.hpp"
 
 namespace field_phenotyping {
@@ -86,14 +86,14 @@ class BagPlayer {
   const std::string map_frame_;
   std::vector<std::string> flush_services_;
 
-  rosbag::Bag bag_;
+  std::unique_ptr<BagFiles> bags_;
   std::unique_ptr<rosbag::View> scans_;
   std::unique_ptr<rosbag::View> transforms_;
   rosbag::View::iterator next_transform_;
   ros::Time now_;  // of the bag
-  ros::WallTime begin_;
-  ros::WallTime told_;
-  ros::WallTime ticked_;
+  ros::SteadyTime begin_;
+  ros::SteadyTime told_;
+  ros::SteadyTime ticked_;
   std::size_t scans_played_ = 0U;
   std::deque<boost::weak_ptr<const sensor_msgs::PointCloud2>> in_work_;
 

@@ -200,6 +200,10 @@ struct Serializer<field_phenotyping::BlockHeader>
     stream.next(header.tile_corner.x());
     stream.next(header.tile_corner.y());
     stream.next(header.margin);
+    stream.next(header.part.min().x());
+    stream.next(header.part.min().y());
+    stream.next(header.part.max().x());
+    stream.next(header.part.max().y());
   }
 };
 

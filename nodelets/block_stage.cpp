@@ -80,10 +80,11 @@ OverloadLimits overloadLimitsOf(const ros::NodeHandle& pnh) {
 
 ListenerGate::ListenerGate(const ros::NodeHandle& pnh, const ros::Publisher& output)
     : output_(output),
-      give_up_(ros::WallTime::now() + ros::WallDuration(pnh.param("wait_for_subscriber", 10.0))) {}
+      give_up_(ros::SteadyTime::now() + ros::WallDuration(pnh.param("wait_for_subscriber", 10.0))) {
+}
 
 bool ListenerGate::open() {
-  open_ = open_ || output_.getNumSubscribers() > 0U || ros::WallTime::now() > give_up_;
+  open_ = open_ || output_.getNumSubscribers() > 0U || ros::SteadyTime::now() > give_up_;
   return open_;
 }
 

@@ -54,7 +54,7 @@ class ListenerGate {
 
  private:
   ros::Publisher output_;
-  ros::WallTime give_up_;
+  ros::SteadyTime give_up_;
   bool open_ = false;
 };
 
@@ -137,11 +137,11 @@ class BlockStage {
     std::optional<UrgentWork> urgent;
     if (headerOf(*task.block).draft) urgent.emplace();
     guarded([&] {
-      const ros::WallTime begin = ros::WallTime::now();
+      const ros::SteadyTime begin = ros::SteadyTime::now();
       const std::vector<OutputPtr> made = work_(task.block, parameters_.current());
       if (made.empty()) return;
       for (const OutputPtr& output : made) output_.publish(output);
-      const ros::WallTime end = ros::WallTime::now();
+      const ros::SteadyTime end = ros::SteadyTime::now();
       health_.count("blocks worked");
       health_.finished((end - task.arrival).toSec());
       health_.took("work on a block", (end - begin).toSec());

@@ -56,9 +56,11 @@ bool areNeighbors(const T& a, const T& b) {
   });
 }
 
-/// Whether `newer` is about all tiles of `older`, each being `alike` there and here.
+/// Whether `newer` is about all tiles of `older`, each being `alike` there and here. A draft of a
+/// part of a tile replaces nothing, for it has not all of its plants.
 template <class T, class Alike>
 bool replaces(const T& newer, const T& older, const Alike& alike) {
+  if (headerOf(newer).isPart()) return false;
   const std::vector<BlockHeader> tiles = tilesOf(newer);
   const std::vector<BlockHeader> others = tilesOf(older);
   return std::all_of(others.begin(), others.end(), [&](const BlockHeader& other) {
@@ -161,7 +163,7 @@ class BlockWorker {
   using Pointer = boost::shared_ptr<const T>;
   struct Task {
     Pointer block;
-    ros::WallTime arrival;  ///< of the first revision that has waited since
+    ros::SteadyTime arrival;  ///< of the first revision that has waited since
   };
   /// What became of a block that came.
   struct Arrival {
@@ -287,7 +289,7 @@ class BlockWorker {
     const auto outdated = [&](const Task& task) { return replaces(*block, *task.block, is_newer); };
     const auto first = std::find_if(waiting_.begin(), waiting_.end(), outdated);
     if (first == waiting_.end()) {
-      waiting_.push_back({block, ros::WallTime::now()});
+      waiting_.push_back({block, ros::SteadyTime::now()});
       return false;
     }
     // Last values are waited for since the block is final, not since an update was due.
@@ -295,7 +297,7 @@ class BlockWorker {
     if (keeps_place) first->block = block;
     waiting_.erase(std::remove_if(keeps_place ? std::next(first) : first, waiting_.end(), outdated),
                    waiting_.end());
-    if (!keeps_place) waiting_.push_back({block, ros::WallTime::now()});
+    if (!keeps_place) waiting_.push_back({block, ros::SteadyTime::now()});
     return true;
   }
 
@@ -307,7 +309,7 @@ class BlockWorker {
   }
 
   bool waitsTooLong(const Task& task) const {
-    return opened_ && ros::WallTime::now() - std::max(task.arrival, *opened_) > limits_.after;
+    return opened_ && ros::SteadyTime::now() - std::max(task.arrival, *opened_) > limits_.after;
   }
 
   Rank rankOf(const Task& task) const {
@@ -373,7 +375,7 @@ class BlockWorker {
   /// Nothing where none may be worked yet.
   std::optional<Task> takeNext(bool takes_drafts, bool& is_update) {
     const bool newest_first = waitsTooLong(Rank::kFirstValues);
-    const bool may_update = ros::WallTime::now() >= next_update_;
+    const bool may_update = ros::SteadyTime::now() >= next_update_;
     auto next = waiting_.end();
     for (auto task = waiting_.begin(); task != waiting_.end(); ++task) {
       if (drafts_ == Drafts::kBeside && headerOf(*task->block).draft != takes_drafts) continue;
@@ -399,10 +401,10 @@ class BlockWorker {
     std::unique_lock<std::mutex> lock(mutex_);
     while (running_) {
       const bool ready = calls_.ready();
-      if (ready && !opened_) opened_ = ros::WallTime::now();
+      if (ready && !opened_) opened_ = ros::SteadyTime::now();
       bool is_update = false;
       const std::optional<Task> task = ready ? takeNext(beside, is_update) : std::nullopt;
-      const ros::WallTime begin = ros::WallTime::now();
+      const ros::SteadyTime begin = ros::SteadyTime::now();
       if (!task) {
         changed_.wait_for(lock, std::chrono::milliseconds(100));
       } else {
@@ -412,7 +414,7 @@ class BlockWorker {
         lock.lock();
         at_work_.erase(at_work);
         if (is_update) {
-          const ros::WallTime end = ros::WallTime::now();
+          const ros::SteadyTime end = ros::SteadyTime::now();
           next_update_ = end + (end - begin) * kUpdatePause;
         }
         ++worked_count_;
@@ -434,9 +436,9 @@ class BlockWorker {
   std::list<Pointer> at_work_;
   std::map<BlockIndex, std::uint64_t> worked_;  // when the pass began that open blocks were in [ns]
   BlockHistory<T> history_;
-  std::optional<ros::WallTime> opened_;  // since when work is done
-  ros::WallTime next_update_;            // none is worked before
-  std::uint64_t worked_count_ = 0U;      // blocks
+  std::optional<ros::SteadyTime> opened_;  // since when work is done
+  ros::SteadyTime next_update_;            // none is worked before
+  std::uint64_t worked_count_ = 0U;        // blocks
   bool running_ = true;
   std::thread thread_;  // last: run on all of the above
   std::thread beside_;

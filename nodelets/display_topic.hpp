@@ -33,7 +33,7 @@ class DisplayTopic {
   /// Publishes if it is time to; call it often, from one thread.
   void update(const BlockHistory<T>& history) {
     if (!outdated_ || publisher_.getNumSubscribers() == 0U || history.blocks().empty()) return;
-    const ros::WallTime now = ros::WallTime::now();
+    const ros::SteadyTime now = ros::SteadyTime::now();
     if (now - published_ < ros::WallDuration(1.0)) return;
     outdated_ = false;
     published_ = now;
@@ -54,7 +54,7 @@ class DisplayTopic {
 
   AddBlock add_block_;
   std::atomic<bool> outdated_{false};
-  ros::WallTime published_;
+  ros::SteadyTime published_;
   ros::Publisher publisher_;  // last: its callback uses the above
 };
 

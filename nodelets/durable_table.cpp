@@ -71,12 +71,13 @@ PlantTable::Change DurableTable::update(const BlockHeader& header,
                                         const std::vector<Phenotype>& plants) {
   const ReportSource source(header);
   recall(source.block, plants);
-  PlantTable::Change change = table_.update(source, plants);
+  std::vector<Phenotype> all = table_.withUntouched(header, plants);
+  PlantTable::Change change = table_.update(source, all);
   if (!change.accepted) return change;
   size_ += change.added.size();
   size_ -= change.removed.size();
   begun_ = true;
-  waiting_.push_back({source, plants});
+  waiting_.push_back({source, std::move(all)});
   frame_id_ = header.frame_id;
   write();
   tellInUse();
@@ -129,14 +130,31 @@ std::vector<Phenotype> DurableTable::allPlants() const {
 }
 
 void DurableTable::retry() {
-  if (!waiting_.empty() && ros::WallTime::now() - tried_ > kRetryInterval) write();
+  if (ros::SteadyTime::now() - tried_ > kRetryInterval) write();
+}
+
+/// The file is open still, though nobody can find it any more.
+void DurableTable::writeAnewIfRemoved() {
+  if (!journal_ || !journal_->isGone()) return;
+  const std::string removed = path_;
+  if (std::filesystem::exists(path_)) path_ = freeNameBeside(path_);  // somebody else's
+  journal_->copyTo(path_);
+  journal_ = std::make_unique<PhenotypeJournal>(path_, PhenotypeJournal::Access::kWrite);
+  health_.count("journals removed by others");
+  health_.trouble("journal removed", "the journal " + removed +
+                                         " was removed or replaced while it was written: all that "
+                                         "it held is in " +
+                                         path_ +
+                                         " now, nothing is lost. Leave the output folder where it "
+                                         "is until the nodelets have ended");
 }
 
 void DurableTable::write() {
-  tried_ = ros::WallTime::now();
+  tried_ = ros::SteadyTime::now();
   try {
-    if (!journal_) open(false);
-    journal_->setFrameId(frame_id_);
+    writeAnewIfRemoved();
+    if (!journal_ && !waiting_.empty()) open(false);
+    if (!waiting_.empty()) journal_->setFrameId(frame_id_);
     while (!waiting_.empty()) {
       journal_->append(waiting_.front());
       waiting_.pop_front();

@@ -44,6 +44,7 @@ class DurableTable {
   void recall(const BlockIndex& block, const std::vector<Phenotype>& plants);
   void forgetOldest();
   void write();
+  void writeAnewIfRemoved();
 
   std::string path_;
   std::string in_use_;  // why it is not the one that was given
@@ -55,7 +56,7 @@ class DurableTable {
   std::uint64_t reports_ = 0U;
   std::deque<PlantReport> waiting_;  // to be written
   std::string frame_id_;             // of those
-  ros::WallTime tried_;              // to write them
+  ros::SteadyTime tried_;            // to write them
   bool begun_ = false;               // reports were made, so an older journal comes too late
 };
 

@@ -98,7 +98,7 @@ void MeasurementStage::showMarkers() {
 /// Those about the last block, for rows are taken for straight.
 void MeasurementStage::showRows() {
   if (!rows_outdated_ || markers_.getNumSubscribers() == 0U) return;
-  const ros::WallTime now = ros::WallTime::now();
+  const ros::SteadyTime now = ros::SteadyTime::now();
   if (now - rows_time_ < kRowsInterval) return;
   rows_time_ = now;
   rows_outdated_ = false;

@@ -44,7 +44,7 @@ class MeasurementStage {
   Eigen::Vector2d last_place_ = Eigen::Vector2d::Zero();  // of the last block [m]
   std::size_t rows_shown_ = 0U;
   bool rows_outdated_ = false;
-  ros::WallTime rows_time_;                // when they were shown
+  ros::SteadyTime rows_time_;              // when they were shown
   std::atomic<bool> new_listener_{false};  // wants to see all of them
   ros::Publisher markers_;
 };

@@ -5,6 +5,7 @@
 #include <ros/serialization.h>
 #include <sqlite3.h>
 #include <sys/file.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include <cerrno>
@@ -186,6 +187,7 @@ PhenotypeJournal::PhenotypeJournal(const std::string& path, Access access)
   database_.reset(database);
   if (result != SQLITE_OK) fail("open");
   sqlite3_busy_timeout(database, kBusyTimeout);
+  file_ = fileAtPath();
   if (access == Access::kWrite) {
     execute("PRAGMA journal_mode = WAL");
     execute("PRAGMA cache_size = -512");  // [KiB] pages are written and hardly read again
@@ -241,6 +243,24 @@ void PhenotypeJournal::setFrameId(const std::string& frame_id) {
                        "', these are in '" + frame_id + "': give another file");
   }
   set("frame_id", frame_id);
+}
+
+std::optional<std::pair<std::uint64_t, std::uint64_t>> PhenotypeJournal::fileAtPath() const {
+  struct stat file = {};
+  if (path_.empty() || ::stat(path_.c_str(), &file) != 0) return std::nullopt;
+  return std::make_pair(static_cast<std::uint64_t>(file.st_dev),
+                        static_cast<std::uint64_t>(file.st_ino));
+}
+
+bool PhenotypeJournal::isGone() const {
+  return file_ && fileAtPath() != file_;
+}
+
+void PhenotypeJournal::copyTo(const std::string& path) const {
+  makeFolderOf(path);
+  Statement copy(*this, "VACUUM INTO ?");
+  copy.bind(1, path);
+  copy.step();
 }
 
 std::string PhenotypeJournal::identity() const {

@@ -2,9 +2,11 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <set>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "field_phenotyping/measurement/phenotype.hpp"
@@ -59,6 +61,13 @@ class PhenotypeJournal {
   /// Durable when it returns. @throws JournalError
   void append(const PlantReport& report);
 
+  /// Whether what is at its path is not its file any more, for somebody has removed that: what it
+  /// takes is lost with it, but for copyTo().
+  bool isGone() const;
+  /// Writes all of it, the identity too, to a new file, and the folder of that if need be.
+  /// @throws JournalError
+  void copyTo(const std::string& path) const;
+
   /// Another one for each journal ever made: tells whether the file was replaced.
   std::string identity() const;
 
@@ -85,7 +94,11 @@ class PhenotypeJournal {
   void execute(const char* sql);
   [[noreturn]] void fail(const std::string& doing) const;
 
+  /// Which file is at its path: device and number; nothing where there is none.
+  std::optional<std::pair<std::uint64_t, std::uint64_t>> fileAtPath() const;
+
   std::string path_;
+  std::optional<std::pair<std::uint64_t, std::uint64_t>> file_;  // that was opened
   std::unique_ptr<WriterLock> lock_;  // before what it guards, so that it goes last
   std::unique_ptr<sqlite3, int (*)(sqlite3*)> database_;
 };

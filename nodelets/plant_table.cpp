@@ -50,6 +50,29 @@ PlantTable::Change PlantTable::update(const ReportSource& source,
   return change;
 }
 
+std::vector<Phenotype> PlantTable::withUntouched(const BlockHeader& header,
+                                                 std::vector<Phenotype> plants) const {
+  const ReportSource source(header);
+  const auto reports = reports_.find(header.index);
+  if (!header.isPart() || reports == reports_.end()) return plants;
+  std::set<std::int32_t> ids;
+  for (const Phenotype& plant : plants) ids.insert(plant.id);
+  for (const Said& said : reports->second) {
+    if (!ofOnePass(said.source, source)) continue;
+    for (const std::int32_t id : said.ids) {
+      const auto found = plants_.find(id);
+      if (found == plants_.end() || !(found->second.block == header.index)) continue;
+      for (const Record& record : found->second.passes) {
+        const Eigen::Vector3d& base = record.plant.base;
+        const bool untouched =
+            ofOnePass(record.source, source) && !header.holds(base.x(), base.y());
+        if (untouched && ids.insert(id).second) plants.push_back(record.plant);
+      }
+    }
+  }
+  return plants;
+}
+
 void PlantTable::put(const ReportSource& source, const Phenotype& plant) {
   const auto [found, first] = plants_.try_emplace(plant.id);
   Entry& entry = found->second;

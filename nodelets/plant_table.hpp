@@ -47,6 +47,12 @@ class PlantTable {
   /// that another pass has found is believed in even where this one does not see it.
   Change update(const ReportSource& source, const std::vector<Phenotype>& plants);
 
+  /// What a block says of all its plants: `plants`, and where that is a draft of a part of its tile
+  /// also those that it has said stand elsewhere in it, as they were, if no other block has
+  /// reported them since.
+  std::vector<Phenotype> withUntouched(const BlockHeader& header,
+                                       std::vector<Phenotype> plants) const;
+
   /// Takes in what was said before of a block and of plants, where it is not known here.
   /// @param reports of the block, and of all others that ever named one of these plants, as they
   ///                came; of other plants nothing

@@ -113,7 +113,7 @@ void PreprocessingStage::receive(const sensor_msgs::PointCloud2ConstPtr& message
   bool dropped = false;
   {
     const std::lock_guard<std::mutex> lock(mutex_);
-    last_arrival_ = ros::WallTime::now();
+    last_arrival_ = ros::SteadyTime::now();
     scans_.push_back({message, last_arrival_});
     dropped = scans_.size() > queue_size_;
     if (dropped) scans_.pop_front();
@@ -205,9 +205,9 @@ bool PreprocessingStage::addScan(const WaitingScan& waiting) {
     bool try_again = false;
     const auto T_target_sensor = findTransform(waiting, try_again);
     if (T_target_sensor) {
-      const ros::WallTime begin = ros::WallTime::now();
+      const ros::SteadyTime begin = ros::SteadyTime::now();
       place(waiting.message, *T_target_sensor);
-      const ros::WallTime end = ros::WallTime::now();
+      const ros::SteadyTime end = ros::SteadyTime::now();
       health_.took("work on a scan", (end - begin).toSec());
       health_.took("scan, from its arrival until it is placed", (end - waiting.arrival).toSec());
       health_.count("scans placed");
@@ -238,7 +238,7 @@ std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const Waiting
   if (!frame.empty() && tf_buffer_.canTransform(target_frame_, frame, header.stamp, &reason)) {
     return tf2::transformToEigen(tf_buffer_.lookupTransform(target_frame_, frame, header.stamp));
   }
-  try_again = ros::WallTime::now() - waiting.arrival < tf_timeout_ && !frame.empty();
+  try_again = ros::SteadyTime::now() - waiting.arrival < tf_timeout_ && !frame.empty();
   if (try_again) return std::nullopt;
 
   health_.count("scans dropped: no transform");
@@ -438,12 +438,20 @@ std::optional<Eigen::Vector3d> PreprocessingStage::sensorAt(const std::string& f
 }
 
 void PreprocessingStage::applyParameters() {
-  const bool emptied = preprocessor_.setParameters(effectiveParameters());
+  const PreprocessingParameters parameters = effectiveParameters();
+  const PreprocessingParameters& before = preprocessor_.parameters();
+  const bool new_grid =
+      parameters.voxel_size != before.voxel_size || parameters.block_size != before.block_size;
+  if (new_grid && !only_scan_) handOnBlocks(true, WhenFull::kInAnyCase);
+  const bool emptied = preprocessor_.setParameters(parameters);
   if (!emptied && !only_scan_) return;
   revision_base_ = newest_revision_;
   if (!only_scan_) {
     scans_added_ = 0U;
-    health_.trouble("emptied", "a new voxel_size or block_size empties the map: blocks begin anew");
+    due_since_.clear();
+    health_.trouble("emptied",
+                    "a new voxel_size or block_size empties the map: what was seen so far is "
+                    "measured by itself, and blocks begin anew");
     return;
   }
   // One whole cloud comes only once: it is worked again, so that tuning shows its effect.
@@ -522,6 +530,8 @@ bool PreprocessingStage::mayGrow(const std::vector<BlockIndex>& joined) const {
 void PreprocessingStage::handOn(const std::vector<BlockIndex>& indices, bool flush) {
   BlockMaker::Task task{preprocessor_.collect(indices, flush), preprocessor_.parameters()};
   BlockHeader& header = task.points.header;
+  std::optional<Eigen::AlignedBox2d> part;
+  if (!header.final) part = preprocessor_.changedPart(header.index);
   for (BlockHeader& tile : task.points.joined) noteHandedOn(tile);
   if (task.points.joined.empty()) {
     noteHandedOn(header);
@@ -529,15 +539,16 @@ void PreprocessingStage::handOn(const std::vector<BlockIndex>& indices, bool flu
     header.revision = task.points.joined.front().revision;
   }
   const bool has_settled = !header.draft && !header.final;
-  if (has_settled) {
+  if (has_settled && part) {
     // What little has come since the last draft may show further plants, whose first values should
     // not wait for the whole block.
-    BlockMaker::Task draft = task;
+    BlockMaker::Task draft{partOf(task.points, *part), task.parameters};
     draft.points.header.draft = true;
     --draft.points.header.revision;
     draft.whole = std::make_shared<BlockMaker::Task>(std::move(task));
     drafts_->push(std::move(draft));
   } else if (header.draft) {
+    if (part) task.points = partOf(task.points, *part);
     drafts_->push(std::move(task));
   } else {
     maker_->push(std::move(task));
@@ -635,7 +646,7 @@ bool PreprocessingStage::isRegistered(const sensor_msgs::PointCloud2& message) c
 
 bool PreprocessingStage::inputIsIdle() const {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return scans_.empty() && ros::WallTime::now() - last_arrival_ > idle_timeout_;
+  return scans_.empty() && ros::SteadyTime::now() - last_arrival_ > idle_timeout_;
 }
 
 }  // namespace field_phenotyping

@@ -44,7 +44,7 @@ class PreprocessingStage {
  private:
   struct WaitingScan {
     sensor_msgs::PointCloud2ConstPtr message;
-    ros::WallTime arrival;
+    ros::SteadyTime arrival;
   };
 
   /// Since when a block is due.
@@ -136,7 +136,7 @@ class PreprocessingStage {
   mutable std::mutex mutex_;
   std::condition_variable changed_;
   std::deque<WaitingScan> scans_;
-  ros::WallTime last_arrival_;
+  ros::SteadyTime last_arrival_;
   std::uint64_t flushes_wanted_ = 0U;
   std::uint64_t flushes_done_ = 0U;
   std::uint64_t blocks_made_ = 0U;

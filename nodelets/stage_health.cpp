@@ -37,7 +37,7 @@ StageHealth::StageHealth(const ros::NodeHandle& nh, const ros::NodeHandle& pnh,
 void StageHealth::received(const ros::Time& stamp) {
   const ros::Time now = ros::Time::now();
   const std::lock_guard<std::mutex> lock(mutex_);
-  last_arrival_ = ros::WallTime::now();
+  last_arrival_ = ros::SteadyTime::now();
   arrivals_.push_back(last_arrival_);
   while (last_arrival_ - arrivals_.front() > kRateWindow) arrivals_.pop_front();
   ++received_;
@@ -78,7 +78,7 @@ std::uint64_t StageHealth::counted(const std::string& what) const {
 }
 
 void StageHealth::trouble(const std::string& kind, const std::string& text) {
-  const ros::WallTime now = ros::WallTime::now();
+  const ros::SteadyTime now = ros::SteadyTime::now();
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     trouble_ = text;
@@ -105,7 +105,7 @@ void StageHealth::showTimes(diagnostic_updater::DiagnosticStatusWrapper& status,
 
 void StageHealth::fill(diagnostic_updater::DiagnosticStatusWrapper& status) {
   using diagnostic_msgs::DiagnosticStatus;
-  const ros::WallTime now = ros::WallTime::now();
+  const ros::SteadyTime now = ros::SteadyTime::now();
   const std::lock_guard<std::mutex> lock(mutex_);
   while (!arrivals_.empty() && now - arrivals_.front() > kRateWindow) arrivals_.pop_front();
 

@@ -57,17 +57,17 @@ class StageHealth {
   const std::string name_;
   const std::string input_;
   mutable std::mutex mutex_;
-  std::deque<ros::WallTime> arrivals_;  // of the last seconds
-  ros::WallTime last_arrival_;
+  std::deque<ros::SteadyTime> arrivals_;  // of the last seconds
+  ros::SteadyTime last_arrival_;
   double age_ = 0.0;
   double latency_ = 0.0;
   std::uint64_t received_ = 0U;
   std::map<std::string, std::uint64_t> counters_;
   std::map<std::string, double> figures_;
   std::map<std::string, Times> times_;
-  std::map<std::string, ros::WallTime> logged_;
+  std::map<std::string, ros::SteadyTime> logged_;
   std::string trouble_;
-  ros::WallTime trouble_time_;
+  ros::SteadyTime trouble_time_;
   diagnostic_updater::Updater updater_;
   ros::WallTimer timer_;  // last: fires only while everything above lives
 };

@@ -1,6 +1,5 @@
 #include "bag_check.hpp"
 
-#include <rosbag/bag.h>
 #include <rosbag/view.h>
 #include <sensor_msgs/PointCloud2.h>
 #include <tf2/buffer_core.h>
@@ -19,6 +18,7 @@
 #include <tuple>
 #include <utility>
 
+#include "bag_files.hpp"
 #include "cloud_decoder.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/nearest_name.hpp"
@@ -171,23 +171,14 @@ class Checker {
   explicit Checker(const BagCheckRequest& request)
       : request_(request),
         target_(withoutSlash(request.target_frame)),
-        preprocessor_(parametersOf(request), target_) {
-    try {
-      bag_.open(request.bag, rosbag::bagmode::Read);
-    } catch (const rosbag::BagUnindexedException&) {
-      throw std::runtime_error(request.bag +
-                               ": has no index, recording was cut off. Cure: rosbag reindex");
-    } catch (const rosbag::BagException& error) {
-      throw std::runtime_error(request.bag + ": cannot be read as a ROS 1 bag: " + error.what() +
-                               ". Was its record ended in good order? `rosbag reindex` mends one "
-                               "that was not; a ROS 2 bag must be converted");
-    }
-  }
+        bags_(request.bag),
+        preprocessor_(parametersOf(request), target_) {}
 
   BagReport run() {
     if (!chooseTopic()) return report_;
     readTransforms();
-    rosbag::View scans(bag_, rosbag::TopicQuery(report_.points_topic));
+    const auto views = bags_.view(rosbag::TopicQuery(report_.points_topic));
+    rosbag::View& scans = *views;
     simulation::ProgressBar progress;  // bags of hours take minutes
     const auto all = static_cast<double>(scans.size());
     for (const rosbag::MessageInstance& instance : scans) {
@@ -234,7 +225,7 @@ class Checker {
 
   const BagCheckRequest& request_;
   const std::string target_;
-  rosbag::Bag bag_;
+  const BagFiles bags_;
   BagReport report_;
   std::optional<Transforms> transforms_;
   Preprocessor preprocessor_;
@@ -263,13 +254,13 @@ class Checker {
 
 bool Checker::chooseTopic() {
   std::map<std::string, std::pair<std::string, std::size_t>> topics;  // type, messages
-  rosbag::View all(bag_);
-  for (const rosbag::ConnectionInfo* connection : all.getConnections()) {
+  const auto all = bags_.view();
+  for (const rosbag::ConnectionInfo* connection : all->getConnections()) {
     topics[connection->topic] = {connection->datatype, 0U};
   }
   std::vector<std::string> clouds;
   for (auto& [topic, about] : topics) {
-    about.second = rosbag::View(bag_, rosbag::TopicQuery(topic)).size();
+    about.second = bags_.view(rosbag::TopicQuery(topic))->size();
     if (about.first == "sensor_msgs/PointCloud2" && about.second > 0U) clouds.push_back(topic);
   }
   std::string list;
@@ -291,6 +282,17 @@ bool Checker::chooseTopic() {
     report_.points_topic = *std::max_element(
         clouds.begin(), clouds.end(),
         [&](const auto& a, const auto& b) { return topics[a].second < topics[b].second; });
+    if (clouds.size() > 1U) {
+      std::string others;
+      for (const std::string& cloud : clouds) {
+        if (cloud != report_.points_topic) others += (others.empty() ? "" : ", ") + cloud;
+      }
+      warn("topics",
+           "there are several sensor_msgs/PointCloud2: " + report_.points_topic +
+               " was checked, not " + others,
+           "say which one holds the scans, --points-topic here and points_topic:= to replay: one "
+           "LiDAR is measured at a time");
+    }
     return true;
   }
   const auto asked = topics.find(report_.points_topic);
@@ -306,15 +308,16 @@ bool Checker::chooseTopic() {
 }
 
 void Checker::readTransforms() {
-  rosbag::View all(bag_);
+  const auto all = bags_.view();
   // Stamps may be of another clock than the record; forget nothing.
-  transforms_.emplace(ros::Duration((all.getEndTime() - all.getBeginTime()).toSec() + 1e6));
+  transforms_.emplace(ros::Duration((all->getEndTime() - all->getBeginTime()).toSec() + 1e6));
   for (const bool is_static : {true, false}) {
     const std::string name = is_static ? "tf_static" : "tf";
     const auto wanted = [&](const rosbag::ConnectionInfo* connection) {
       return withoutSlash(connection->topic) == name;
     };
-    for (const rosbag::MessageInstance& instance : rosbag::View(bag_, wanted)) {
+    const auto transforms = bags_.view(wanted);
+    for (const rosbag::MessageInstance& instance : *transforms) {
       const auto message = instance.instantiate<tf2_msgs::TFMessage>();
       if (message) transforms_->add(*message, instance.getTime(), is_static);
     }

@@ -10,7 +10,7 @@ namespace field_phenotyping {
 
 /// What is asked of a bag.
 struct BagCheckRequest {
-  std::string bag;
+  std::string bag;           ///< as BagFiles takes it
   std::string points_topic;  ///< empty: the PointCloud2 topic with the most messages
   std::string target_frame = "map";
   Parameters parameters;  ///< of preprocessing, which the density is found with

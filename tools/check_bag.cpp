@@ -99,9 +99,11 @@ int main(int argc, char** argv) {
       "Says what is wrong with a bag, and what to do: topics, fields, frames, gaps in tf, time, "
       "points,\n"
       "and whether they are dense enough at stem height to measure diameters.");
-  app.add_option("bag", request.bag, "ROS 1 bag with the scans and, for raw scans, tf")
-      ->required()
-      ->check(CLI::ExistingFile);
+  std::vector<std::string> bags;
+  app.add_option("bag", bags,
+                 "ROS 1 bag with the scans and, for raw scans, tf; or the bags that it was split "
+                 "into, a pattern in quotes, or the folder that they are in")
+      ->required();
   app.add_option("--points-topic", request.points_topic,
                  "Topic of the scans; if not given, the PointCloud2 with the most messages");
   app.add_option("--target-frame", request.target_frame, "Frame of all results, z up")
@@ -121,6 +123,7 @@ int main(int argc, char** argv) {
   try {
     if (!config.empty()) field_phenotyping::readConfigFile(config, request.parameters);
     field_phenotyping::setParameters(assignments, request.parameters);
+    for (const std::string& bag : bags) request.bag += (request.bag.empty() ? "" : " ") + bag;
     const BagReport report = field_phenotyping::checkBag(request);
     if (json) {
       std::cout << toJson(request.bag, report).dump(2) << "\n";

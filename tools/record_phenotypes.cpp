@@ -43,6 +43,8 @@ Parameters
 /// pauses so many times as long as that.
 const ros::WallDuration kInterval(1.0);
 constexpr double kPauses = 10.0;
+/// Looks for the measurement this often.
+const ros::WallDuration kWatchInterval(2.0);
 /// Tells how far it is no more often than this.
 const ros::WallDuration kTellInterval(5.0);
 
@@ -50,6 +52,7 @@ class PhenotypeRecorder {
  public:
   PhenotypeRecorder(ros::NodeHandle nh, ros::NodeHandle pnh)
       : directory_(pnh.param<std::string>("output_dir", "")),
+        measurement_(nh.resolveName("measurement/flush")),
         end_with_clock_(pnh.param("end_with_clock", false)),
         clock_timeout_(pnh.param("clock_timeout", 3.0)) {
     pnh.getParam("flush_services", flush_services_);
@@ -76,7 +79,8 @@ class PhenotypeRecorder {
       ros::getGlobalCallbackQueue()->callAvailable(ros::WallDuration(0.1));
       // Only now: writing may have taken longer than the clock may be silent.
       if (clockHasStopped()) break;
-      if (ros::WallTime::now() - looked_ > interval_ && readJournal()) write();
+      if (ros::SteadyTime::now() - looked_ > interval_ && (readJournal() || isRemoved())) write();
+      watchMeasurement();
     }
     if (ros::ok()) flushStages();
     if (readJournal()) write();
@@ -93,11 +97,27 @@ class PhenotypeRecorder {
     return true;
   }
 
-  void noteClock(const rosgraph_msgs::ClockConstPtr&) { last_clock_ = ros::WallTime::now(); }
+  /// Loaders without a bond do not notice that the manager has died with all nodelets.
+  void watchMeasurement() {
+    const ros::SteadyTime now = ros::SteadyTime::now();
+    if (now - watched_ < kWatchInterval) return;
+    watched_ = now;
+    const bool is_there = ros::service::exists(measurement_, false);
+    if (was_there_ && !is_there && ros::ok()) {
+      ROS_ERROR_STREAM("the measurement has gone ("
+                       << measurement_
+                       << "): nothing more is measured. Has the nodelet manager died? Launch "
+                          "again, with the same output to go on with the same plants; with "
+                          "respawn:=true the nodelets are loaded again by themselves");
+    }
+    was_there_ = is_there;
+  }
+
+  void noteClock(const rosgraph_msgs::ClockConstPtr&) { last_clock_ = ros::SteadyTime::now(); }
 
   bool clockHasStopped() const {
     return end_with_clock_ && !last_clock_.isZero() &&
-           ros::WallTime::now() - last_clock_ > clock_timeout_;
+           ros::SteadyTime::now() - last_clock_ > clock_timeout_;
   }
 
   /// Stage by stage down the chain.
@@ -114,7 +134,7 @@ class PhenotypeRecorder {
 
   /// @return whether there was something new in it
   bool readJournal() {
-    looked_ = ros::WallTime::now();
+    looked_ = ros::SteadyTime::now();
     if (!std::filesystem::exists(journal_)) return false;
     try {
       // Opened anew each time: the measurement may have begun another one.
@@ -138,14 +158,17 @@ class PhenotypeRecorder {
     return true;
   }
 
+  bool isRemoved() const { return !std::filesystem::exists(directory_ / "plants.csv"); }
+
   bool write() {
-    const ros::WallTime begin = ros::WallTime::now();
+    const ros::SteadyTime begin = ros::SteadyTime::now();
     try {
+      std::filesystem::create_directories(directory_);  // somebody may have removed it
       const std::vector<Phenotype> plants = table_.plants();
       writePhenotypeCsv(directory_ / "plants.csv", plants);
       writePhenotypeGeoJson(directory_ / "plants.geojson", plants, frame_id_);
       writeRowsCsv(directory_ / "rows.csv", plants);
-      interval_ = std::max(kInterval, (ros::WallTime::now() - begin) * kPauses);
+      interval_ = std::max(kInterval, (ros::SteadyTime::now() - begin) * kPauses);
       return true;
     } catch (const std::exception& error) {
       ROS_ERROR_STREAM(error.what());
@@ -155,6 +178,7 @@ class PhenotypeRecorder {
   }
 
   std::filesystem::path directory_;
+  const std::string measurement_;  // a service of that nodelet
   std::string journal_;
   const bool end_with_clock_;
   const ros::WallDuration clock_timeout_;
@@ -165,9 +189,11 @@ class PhenotypeRecorder {
   std::string frame_id_ = "map";
   bool all_written_ = true;
   ros::WallDuration interval_ = kInterval;
-  ros::WallTime looked_;
-  ros::WallTime told_;
-  ros::WallTime last_clock_;
+  ros::SteadyTime looked_;
+  ros::SteadyTime told_;
+  ros::SteadyTime watched_;  // whether the measurement is there
+  bool was_there_ = false;
+  ros::SteadyTime last_clock_;
   ros::ServiceServer export_;
   ros::Subscriber clock_;
 };

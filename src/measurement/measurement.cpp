@@ -21,10 +21,9 @@ namespace {
 /// Whether the plant has points where the block's data end.
 bool reachesBorder(const SegmentedBlock& block, const Plant& plant) {
   constexpr double kNear = 0.01;  // [m]
-  const BlockHeader& header = block.header;
-  const Eigen::Vector2d low = header.lowCorner() - Eigen::Vector2d::Constant(header.margin - kNear);
-  const Eigen::Vector2d high =
-      low + Eigen::Vector2d::Constant(header.tile_size + 2.0 * (header.margin - kNear));
+  const Eigen::AlignedBox2d about = block.header.extent();
+  const Eigen::Vector2d low = about.min() - Eigen::Vector2d::Constant(block.header.margin - kNear);
+  const Eigen::Vector2d high = about.max() + Eigen::Vector2d::Constant(block.header.margin - kNear);
   for (std::uint32_t i = plant.points.begin; i < plant.points.end; ++i) {
     const Eigen::Vector2d point = block.cloud.mapPoint(i).head<2>();
     if ((point.array() < low.array()).any() || (point.array() > high.array()).any()) return true;

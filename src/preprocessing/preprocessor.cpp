@@ -117,6 +117,21 @@ Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
   return block;
 }
 
+BlockPoints partOf(const BlockPoints& tile, const Eigen::AlignedBox2d& part) {
+  if (part.isEmpty()) return tile;
+  BlockPoints of_part;
+  of_part.header = tile.header;
+  of_part.header.part = part;
+  const Eigen::Vector2d reach = Eigen::Vector2d::Constant(tile.header.margin);
+  const Eigen::Vector2d origin = tile.cloud.origin.head<2>();
+  const Eigen::AlignedBox2f box((part.min() - reach - origin).cast<float>(),
+                                (part.max() + reach - origin).cast<float>());
+  of_part.cloud = taken(tile.cloud, indicesWhere(tile.cloud.size(), [&](std::size_t i) {
+                          return box.contains(tile.cloud.points[i].head<2>());
+                        }));
+  return of_part;
+}
+
 struct Preprocessor::Impl {
   Impl(const PreprocessingParameters& initial_parameters, std::string frame,
        const Eigen::Vector2d& corner)
@@ -504,6 +519,56 @@ bool Preprocessor::isDraft(const BlockIndex& index, bool flush) const {
   const auto state = impl_->states.find(index);
   return state != impl_->states.end() && !flush && !impl_->isFinal(state->second) &&
          impl_->hasChanged(state->second);
+}
+
+std::optional<Eigen::AlignedBox2d> Preprocessor::changedPart(const BlockIndex& index) const {
+  constexpr double kEdge = 1.0;            // [m] about, of the cells that are looked at
+  constexpr double kGrown = 1.3;           // times as many voxels as before may tell other things
+  constexpr double kLeastDensity = 100.0;  // [1/m^2] fewer show no plant
+  constexpr double kMost = 0.7;            // of the work for the whole tile
+  const auto state = impl_->states.find(index);
+  const VoxelTile* tile = impl_->map.find(index);
+  if (state == impl_->states.end() || tile == nullptr) return std::nullopt;
+  const Eigen::AlignedBox2d all;
+  if (state->second.revision == 0U) return all;
+  const double size = impl_->parameters.block_size;
+  const BlockHeader whole = impl_->headerOf(index, false, true);
+
+  // Voxels lie in the order in which they were opened.
+  const auto side = static_cast<int>(std::max(std::lround(size / kEdge), 1L));
+  struct Voxels {
+    std::size_t before = 0U;
+    std::size_t now = 0U;
+  };
+  std::vector<Voxels> cells(static_cast<std::size_t>(side * side));
+  const auto along = [&](float from_center) {
+    const double at = (static_cast<double>(from_center) / size + 0.5) * side;
+    return std::clamp(static_cast<int>(std::floor(at)), 0, side - 1);
+  };
+  for (std::size_t i = 0; i < tile->size(); ++i) {
+    const Eigen::Vector3f p = tile->centroid(i);
+    Voxels& cell = cells[static_cast<std::size_t>(along(p.y()) * side + along(p.x()))];
+    ++cell.now;
+    if (i < state->second.old_voxels) ++cell.before;
+  }
+  const double edge = size / side;
+  Eigen::AlignedBox2d part;
+  for (int y = 0; y < side; ++y) {
+    for (int x = 0; x < side; ++x) {
+      const Voxels& cell = cells[static_cast<std::size_t>(y * side + x)];
+      const bool changed =
+          static_cast<double>(cell.now) >= kGrown * static_cast<double>(cell.before) &&
+          static_cast<double>(cell.now - cell.before) >= kLeastDensity * edge * edge;
+      if (!changed) continue;
+      part.extend(whole.lowCorner() + size * Eigen::Vector2d(x, y) / side);
+      part.extend(whole.lowCorner() + size * Eigen::Vector2d(x + 1, y + 1) / side);
+    }
+  }
+  if (part.isEmpty()) return std::nullopt;
+  const auto workOf = [&](const Eigen::AlignedBox2d& box) {
+    return (box.sizes().array() + 2.0 * whole.margin).prod();
+  };
+  return workOf(part) > kMost * workOf(whole.extent()) ? all : part;
 }
 
 std::vector<BlockIndex> Preprocessor::joinedWith(const BlockIndex& first,

@@ -109,6 +109,38 @@ void PlantRegistry::keepOwnPlants(SegmentedBlock& block) const {
   }
 }
 
+/// What a draft of a part of its tile leaves as it is: plants that are claimed by the block and
+/// stand out of the part's reach, and others that do unless they turn out to be one of its own.
+PlantRegistry::Untouched PlantRegistry::untouchedBy(const BlockHeader& header) const {
+  Untouched untouched;
+  const auto claims = claims_.find(header.index);
+  if (!header.isPart() || claims == claims_.end()) return untouched;
+  std::map<std::int32_t, Eigen::Vector2d> in_reach;
+  for (const Known& known :
+       findNear({header.part.min(), header.part.max()}, kBorderTolerance + match_radius_)) {
+    in_reach.emplace(known.id, known.base);
+  }
+  for (const std::int32_t id : claims->second.ids) {
+    const auto found = in_reach.find(id);
+    if (found == in_reach.end()) {
+      untouched.far.push_back(id);
+    } else if (!header.holds(found->second.x(), found->second.y())) {
+      untouched.near.push_back(id);
+    }
+  }
+  return untouched;
+}
+
+/// The block goes on claiming these, if nothing else has become of them.
+void PlantRegistry::keepClaims(const std::vector<std::int32_t>& ids, const BlockIndex& index,
+                               Claims& claims) {
+  for (const std::int32_t id : ids) {
+    if (!claimed_.emplace(id, index).second) continue;
+    claims.ids.push_back(id);
+    claims.seen.insert(id);
+  }
+}
+
 /// Those of the block, and those that hold no longer.
 void PlantRegistry::releaseClaims(const BlockHeader& header) {
   for (auto claims = claims_.begin(); claims != claims_.end();) {
@@ -368,7 +400,13 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     plants.push_back(&plant);
     bases.push_back(all_bases.back());
   }
+  Untouched untouched = untouchedBy(header);
   releaseClaims(header);
+  Claims claims;
+  claims.stamp_ns = header.stamp_ns;
+  claims.final = header.final;
+  keepClaims(untouched.far, header.index, claims);
+  claims_[header.index] = claims;
 
   // 1. What was seen before this pass began is where it was in the map of then.
   std::vector<Known> near = findNear(all_bases, kMostShift + match_radius_);
@@ -423,9 +461,6 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   };
 
   // 3. Filed anew under their newest bases.
-  Claims claims;
-  claims.stamp_ns = header.stamp_ns;
-  claims.final = header.final;
   for (std::size_t p = 0; p < bases.size(); ++p) {
     std::int32_t id = next_id_;
     if (entry_of[p] == kNone) {
@@ -455,6 +490,12 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     claimed_.emplace(id, header.index);
     if (in_doubt_.count(id) > 0U) ++outcome.provisional;
   }
+  for (std::size_t e = 0; e < near.size(); ++e) {
+    if (!given[e]) continue;
+    untouched.near.erase(std::remove(untouched.near.begin(), untouched.near.end(), near[e].id),
+                         untouched.near.end());
+  }
+  keepClaims(untouched.near, header.index, claims);
   claims_[header.index] = std::move(claims);
 
   // 4. In the end, plants of its own that are hidden in this pass have moved with the rest.

@@ -315,6 +315,85 @@ TEST(Preprocessor, DueWhenChangedEnoughAndNotTooSoon) {
   EXPECT_TRUE(isDue(preprocessor, index));
 }
 
+TEST(Preprocessor, ARoverThatStandsStillForMinutesIsNotToldOfAgainAndAgain) {
+  // The same beams ten times a second, with 3 mm of noise along them.
+  constexpr std::size_t kScans = 3000U;
+  std::mt19937 random(1U);
+  std::normal_distribution<float> noise(0.0F, 0.003F);
+  Preprocessor preprocessor(unlimitedRange(), "map");
+  const BlockIndex index{0, 0};
+  const Scan seen = patch(0.0, 2.0, kStart);
+  std::size_t drafts = 0U;
+  std::size_t others = 0U;
+  std::size_t late = 0U;  // after the first minute
+  std::size_t voxels_after_a_minute = 0U;
+  for (std::size_t k = 0; k < kScans; ++k) {
+    Scan scan = seen;
+    scan.stamp_ns = kStart + k * (kSecond / 10U);
+    for (Eigen::Vector3f& point : scan.cloud.points) point *= 1.0F + noise(random) / point.norm();
+    preprocessor.addScan(scan, kIdentity);
+    if (k == kScans / 5U) voxels_after_a_minute = preprocessor.voxels();
+    if (!isDue(preprocessor, index)) continue;
+    const BlockHeader header = preprocessor.collect({index}, false).header;
+    EXPECT_FALSE(header.final) << "scans reach it";
+    ++(header.draft ? drafts : others);
+    if (k > kScans / 5U) ++late;
+    preprocessor.markHandedOn(header);
+  }
+  EXPECT_LE(drafts, 6U);
+  EXPECT_LE(others, 6U);
+  EXPECT_LE(late, 2U) << "as stray returns open voxels farther and farther off";
+  EXPECT_LT(preprocessor.voxels(), 3U * voxels_after_a_minute / 2U);
+}
+
+TEST(Preprocessor, ADraftNeedsOnlyThePartInWhichMuchIsNew) {
+  PreprocessingParameters parameters = unlimitedRange();
+  parameters.block_size = 4.0;
+  parameters.block_margin = 0.6;
+  Preprocessor preprocessor(parameters, "map");
+  const BlockIndex index{0, 0};
+  EXPECT_FALSE(preprocessor.changedPart(index)) << "nothing is there";
+  preprocessor.addScan(patch(0.0, 4.0, kStart), kIdentity);
+  auto part = preprocessor.changedPart(index);
+  ASSERT_TRUE(part);
+  EXPECT_TRUE(part->isEmpty()) << "never handed on: the whole tile";
+  handOn(preprocessor, index);
+  EXPECT_FALSE(preprocessor.changedPart(index)) << "nothing is new";
+
+  // Twice as many in one cell, a tenth more in others.
+  preprocessor.addScan(patch(2.0, 3.0, kStart + kSecond, 0.05, -0.9), kIdentity);
+  preprocessor.addScan(patch(0.0, 0.1, kStart + kSecond, 0.05, -0.9), kIdentity);
+  part = preprocessor.changedPart(index);
+  ASSERT_TRUE(part);
+  EXPECT_EQ(part->min(), Eigen::Vector2d(2.0, 0.0));
+  EXPECT_EQ(part->max(), Eigen::Vector2d(3.0, 2.0));
+  const BlockPoints tile = preprocessor.collect({index}, false);
+  const BlockPoints of_part = partOf(tile, *part);
+  EXPECT_TRUE(of_part.header.isPart());
+  const auto in_reach = [&](const Eigen::Vector3d& p) {
+    return p.x() >= 1.7 && p.x() <= 3.3 && p.y() <= 2.3;
+  };
+  std::size_t count = 0U;
+  for (std::size_t i = 0; i < tile.cloud.size(); ++i) count += in_reach(tile.cloud.mapPoint(i));
+  EXPECT_EQ(of_part.cloud.size(), count) << "with half of the margin, as of all drafts";
+  for (std::size_t i = 0; i < of_part.cloud.size(); ++i) {
+    EXPECT_TRUE(in_reach(of_part.cloud.mapPoint(i)));
+  }
+  const Block block = finishBlock(of_part, parameters);
+  EXPECT_TRUE(block.header.holds(2.5, 1.0));
+  EXPECT_FALSE(block.header.holds(1.9, 1.0));
+  EXPECT_TRUE(block.header.holds(1.95, 1.0, 0.1));
+
+  // Where most of the tile has changed it is not worth it.
+  preprocessor.addScan(patch(0.0, 4.0, kStart + kSecond, 0.05, -0.8), kIdentity);
+  Scan rest = patch(0.0, 4.0, kStart + kSecond, 0.05, -0.8);
+  for (Eigen::Vector3f& point : rest.cloud.points) point.y() += 2.0F;
+  preprocessor.addScan(rest, kIdentity);
+  part = preprocessor.changedPart(index);
+  ASSERT_TRUE(part);
+  EXPECT_TRUE(part->isEmpty());
+}
+
 TEST(Preprocessor, WhatHasChangedIsADraftAndABetterBlockFollowsOnceItHasSettled) {
   PreprocessingParameters parameters = unlimitedRange();
   parameters.update_period = 2.0;

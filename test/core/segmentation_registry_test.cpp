@@ -54,6 +54,57 @@ TEST(PlantRegistry, IdsAreStableOverRevisions) {
   EXPECT_EQ(registry.size(), 4U);
 }
 
+/// A draft of a part of the tile, from `low` to `high`.
+SegmentedBlock partWith(const BlockIndex& index, const Eigen::Vector2d& low,
+                        const Eigen::Vector2d& high, const std::vector<Eigen::Vector2d>& bases) {
+  SegmentedBlock block = blockWith(index, bases);
+  block.header.part = {low, high};
+  for (std::size_t p = 0; p < bases.size(); ++p) {
+    block.plants[p].owned =
+        block.header.holds(bases[p].x(), bases[p].y(), PlantRegistry::kBorderTolerance);
+  }
+  return block;
+}
+
+TEST(PlantRegistry, ADraftOfAPartLeavesTheTilesOtherPlantsToTheBlock) {
+  PlantRegistry registry;
+  // The last one is claimed across the border; the neighbour sees it and the first one's row.
+  const auto first =
+      identify(registry, blockWith({0, 0}, {{0.5, 0.5}, {0.95, 0.5}, {1.5, 0.5}, {2.05, 0.5}}));
+  // Of those in the part one is found, one is not, and one is new; a margin's plant is not its own.
+  const auto part = identify(
+      registry, partWith({0, 0}, {1.0, 0.0}, {2.0, 1.0}, {{0.5, 0.5}, {1.51, 0.5}, {1.2, 0.8}}));
+  EXPECT_EQ(part[0], -1);
+  EXPECT_EQ(part[1], first[2]);
+  EXPECT_EQ(std::count(first.begin(), first.end(), part[2]), 0);
+  // What it has said nothing of is still claimed, what it could not find is free.
+  const auto beside = identify(registry, blockWith({1, 0}, {{2.05, 0.5}, {2.5, 0.5}}));
+  EXPECT_EQ(beside[0], -1) << "stands beside the part: still the other block's";
+  const auto left = identify(registry, blockWith({-1, 0}, {{-0.05, 0.5}}));
+  EXPECT_GE(left[0], 0);
+  const auto all = identify(
+      registry, blockWith({0, 0}, {{0.5, 0.5}, {0.95, 0.5}, {1.5, 0.5}, {2.05, 0.5}, {1.2, 0.8}}));
+  EXPECT_EQ(all[0], first[0]);
+  EXPECT_EQ(all[1], first[1]);
+  EXPECT_EQ(all[2], first[2]);
+  EXPECT_EQ(all[3], first[3]);
+  EXPECT_EQ(all[4], part[2]);
+}
+
+TEST(PlantRegistry, APlantThatWandersOverThePartsBorderKeepsItsId) {
+  for (const double before : {0.98, 1.02}) {
+    for (const double now : {0.97, 1.03}) {
+      PlantRegistry registry;
+      const auto first = identify(registry, blockWith({0, 0}, {{before, 0.5}, {1.5, 0.5}}));
+      const auto part =
+          identify(registry, partWith({0, 0}, {1.0, 0.0}, {2.0, 2.0}, {{now, 0.5}, {1.5, 0.5}}));
+      EXPECT_TRUE(part[0] == first[0] || part[0] == -1) << before << " " << now;
+      EXPECT_EQ(identify(registry, blockWith({0, 0}, {{now, 0.5}, {1.5, 0.5}})), first);
+      EXPECT_EQ(registry.size(), 2U);
+    }
+  }
+}
+
 TEST(PlantRegistry, FollowsABaseThatWandersFar) {
   PlantRegistry registry;
   const auto first = identify(registry, blockWith({0, 0}, {{0.5, 0.5}}));

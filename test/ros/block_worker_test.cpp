@@ -74,6 +74,17 @@ class SlowWorker {
     return push(x, second, false, 10U, began, true);
   }
 
+  /// A draft of a part of the tile.
+  BlockWorker<Block>::Arrival pushPart(int x, std::uint64_t second) {
+    const auto block = boost::make_shared<Block>();
+    block->header.draft = true;
+    block->header.index = {x, 0};
+    block->header.began_ns = kBegan;
+    block->header.stamp_ns = kBegan + second * kSecond;
+    block->header.part = {Eigen::Vector2d(0.0, 0.0), Eigen::Vector2d(1.0, 1.0)};
+    return worker_->push(block);
+  }
+
   BlockWorker<Block>::Arrival pushRevision(int x, std::uint32_t revision, bool draft,
                                            std::uint64_t began = 0U) {
     return push(x, began + revision, !draft, 10U, began, draft, revision);
@@ -184,6 +195,15 @@ TEST(BlockWorker, ADraftIsReplacedByNewerDraftsAndFinalBlocksOnly) {
   other.pushDraft(100, 1U);
   EXPECT_TRUE(other.push(100, 2U, true).replaced);
   EXPECT_EQ(other.finishAll(), (std::vector<int>{100}));
+}
+
+TEST(BlockWorker, ADraftOfAPartDoesNotTakeThePlaceOfADraftOfTheTile) {
+  SlowWorker worker(kNever);
+  worker.pushDraft(2, 2U);
+  EXPECT_FALSE(worker.pushPart(2, 3U).replaced);
+  EXPECT_TRUE(worker.pushDraft(2, 4U).replaced) << "but a whole one takes the place of both";
+  worker.pushPart(2, 5U);
+  EXPECT_EQ(worker.finishAll(), (std::vector<int>{2, 2}));
 }
 
 TEST(BlockWorker, ADraftThatIsLaterThanANewerRevisionIsNotWorked) {

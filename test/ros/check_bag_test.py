@@ -170,9 +170,9 @@ class CheckBagTest(unittest.TestCase):
     def tearDownClass(cls):
         cls.folder.cleanup()
 
-    def check(self, bag, *arguments):
+    def check(self, *arguments):
         done = subprocess.run(
-            [CHECK_BAG, bag] + list(arguments), text=True, stdout=subprocess.PIPE,
+            [CHECK_BAG] + list(arguments), text=True, stdout=subprocess.PIPE,
             stderr=subprocess.PIPE)
         return done.returncode, done.stdout, done.stderr
 
@@ -215,15 +215,68 @@ class CheckBagTest(unittest.TestCase):
 
     def test_no_bag(self):
         path = os.path.join(self.folder.name, "none.bag")
-        self.assertEqual(self.check(path)[0], 2)
-        with open(path, "w") as file:
-            file.write("this is no bag\n")
         status, _, error = self.check(path)
         self.assertEqual(status, 2)
-        self.assertIn("cannot be read as a ROS 1 bag", error)
-        with open(self.bag, "rb") as whole, open(path, "wb") as cut:
-            cut.write(whole.read()[:20000])
-        self.assertEqual(self.check(path)[0], 2)
+        self.assertIn("there is no such file", error)
+        with open(self.bag, "rb") as whole:
+            cut = whole.read()[:20000]
+        for content, text in (
+                (b"this is no bag\n", "it is no ROS 1 bag"), (b"", "it is empty"),
+                (b"SQLite format 3\0", "rosbags-convert"), (b"\x89MCAP0\r\n", "rosbags-convert"),
+                (cut, "recording was cut off")):
+            with open(path, "wb") as file:
+                file.write(content)
+            status, _, error = self.check(path)
+            self.assertEqual(status, 2)
+            self.assertIn(text, error)
+
+    def test_a_bag_that_was_cut_off_can_be_saved_as_it_says(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.path.join(folder, "field.bag.active")
+            with open(self.bag, "rb") as whole, open(path, "wb") as cut:
+                cut.write(whole.read()[:-200000])
+            _, _, error = self.check(folder)
+            self.assertIn("rosbag reindex FILE.bag.active", error)
+            _, _, error = self.check(path)
+            self.assertIn("rosbag reindex " + path + "` keeps what is in it; then rename", error)
+            subprocess.check_call(["rosbag", "reindex", "-q", path], stdout=subprocess.DEVNULL)
+            os.rename(path, os.path.join(folder, "field.bag"))
+            status, said, error = self.check(folder, "--json")
+            self.assertLess(status, 2, said + error)
+            self.assertGreater(json.loads(said)["scans"], 20)
+
+    def test_split_bags_are_read_as_one(self):
+        with tempfile.TemporaryDirectory() as folder:
+            paths = [os.path.join(folder, "drive_%d.bag" % part) for part in (9, 10)]
+            bags = [rosbag.Bag(path, "w", compression=compression)
+                    for path, compression in zip(paths, ("lz4", "bz2"))]
+            half = self.messages[len(self.messages) // 2][2]
+            for topic, message, time in self.messages:
+                bags[time >= half].write(topic, message, time)
+            for bag in bags:
+                bag.close()
+            # As rosbag compress leaves it: the same messages again.
+            os.link(paths[0], os.path.join(folder, "drive_9.orig.bag"))
+            for given in (paths, [folder], [os.path.join(folder, "drive_*.bag")], [" ".join(paths)]):
+                status, said, error = self.check(*given, "--json")
+                self.assertEqual(status, 0, said + error)
+                self.assertEqual(json.loads(said)["scans_placed"], 30)
+            status, _, error = self.check(paths[0], os.path.join(folder, "drive_11.bag"))
+            self.assertEqual(status, 2)
+            self.assertIn(os.path.join(folder, "drive_11.bag") + "' cannot be read", error)
+
+    def test_of_two_lidars_it_says_which_it_looks_at(self):
+        path = os.path.join(self.folder.name, "two.bag")
+        with rosbag.Bag(path, "w") as bag:
+            for topic, message, time in self.messages:
+                bag.write(topic, message, time)
+            for topic, message, time in self.messages[:6]:
+                if topic == "/points":
+                    bag.write("/rear/points", message, time)
+        status, said, _ = self.check(path)
+        self.assertEqual(status, 1)
+        self.assertIn("/points was checked, not /rear/points", said)
+        self.assertEqual(self.check(path, "--points-topic", "/points")[0], 0)
 
     def test_parameters_count(self):
         status, said, _ = self.check(self.bag, "--set", "preprocessing/max_range=0.5")

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""What users do to a running chain: two managers with one journal, a bag that is played again and again.
+"""What happens to a running chain: two managers with one journal, a bag that is played again and again, an
+output folder that is removed, a LiDAR that stops, a voxel size changed amid a drive, a manager that dies.
 
 Usage: live_faults_test.py WRITE_TEST_BAG
 """
@@ -7,11 +8,13 @@ import collections
 import csv
 import math
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
 import sys
 import tempfile
+import time
 import unittest
 
 from restart_test import free_port, reported, wait_until
@@ -67,6 +70,12 @@ class LiveFaultsTest(unittest.TestCase):
         self.start(
             environment, "rosbag", "play", "--quiet", "--wait-for-subscribers", *settings, self.bag)
 
+    def wait_for_service(self, environment, service, log):
+        ask = ["rosservice", "info", service]
+        self.assertTrue(wait_until(
+            lambda: subprocess.call(ask, env=environment, stdout=subprocess.DEVNULL,
+                                    stderr=subprocess.DEVNULL) == 0, 60.0), said(log))
+
     def ids_by_place(self, journal):
         """{number of the plant in the truth: its ids}"""
         ids = collections.defaultdict(set)
@@ -101,6 +110,79 @@ class LiveFaultsTest(unittest.TestCase):
             self.assertTrue(all(len(names) == 1 for names in ids.values()), dict(ids))
         self.assertEqual(identity_of(self.journal), identity)
         self.assertNotIn("another nodelet manager", said(first_log))
+
+    def all_have_one_id(self, log):
+        self.assertTrue(wait_until(lambda: self.all_are_in(self.journal), 60.0), said(log))
+        ids = self.ids_by_place(self.journal)
+        self.assertTrue(all(len(names) == 1 for names in ids.values()), dict(ids))
+
+    def test_an_output_folder_that_is_removed_is_written_anew(self):
+        environment = self.start_master()
+        log = self.start_chain(environment)
+        self.play(environment)
+        self.assertTrue(wait_until(lambda: self.all_are_in(self.journal), 60.0), said(log))
+        identity = identity_of(self.journal)
+        before = reported(self.journal)
+        shutil.rmtree(self.output)
+        self.assertTrue(wait_until(lambda: "was removed or replaced" in said(log), 60.0), said(log))
+        self.assertIn("nothing is lost", said(log))
+        self.assertEqual(identity_of(self.journal), identity)
+        self.assertEqual(reported(self.journal)[:len(before)], before)
+        table = os.path.join(self.output, "plants.csv")
+        self.assertTrue(wait_until(lambda: os.path.exists(table), 60.0), said(log))
+        # What comes afterwards goes there too.
+        shutil.rmtree(self.output)
+        self.play(environment)
+        self.assertTrue(
+            wait_until(lambda: len(reported(self.journal)) > len(before), 60.0), said(log))
+        self.all_have_one_id(log)
+
+    def test_a_manager_that_dies_is_missed_and_one_that_comes_back_is_loaded_again(self):
+        for respawn in ("false", "true"):
+            environment = self.start_master()
+            manager = ["rosrun", "nodelet", "nodelet", "manager", "__name:=lidar_manager"]
+            first = subprocess.Popen(manager, env=environment, stdout=subprocess.DEVNULL,
+                                     stderr=subprocess.DEVNULL)
+            self.addCleanup(first.kill)
+            log = self.start_chain(environment, "manager:=lidar_manager", "respawn:=" + respawn)
+            self.wait_for_service(environment, "/field_phenotyping/measurement/flush", log)
+            self.play(environment)
+            self.assertTrue(wait_until(lambda: self.all_are_in(self.journal), 60.0), said(log))
+            time.sleep(3.0)  # until the recorder has seen the measurement
+            before = len(reported(self.journal))
+            first.kill()
+            first.wait()
+            self.assertTrue(
+                wait_until(lambda: "the measurement has gone" in said(log), 60.0), said(log))
+        # The one that was told to start again does so.
+        self.start(environment, *manager)
+        self.play(environment)
+        self.assertTrue(
+            wait_until(lambda: len(reported(self.journal)) > before, 90.0), said(log))
+        self.all_have_one_id(log)
+
+    def test_a_lidar_that_stops_for_a_while_goes_on(self):
+        environment = self.start_master()
+        log = self.start_chain(environment)
+        self.play(environment, "--duration", "1.6")
+        # Everything is handed on as if that were all.
+        self.assertTrue(wait_until(lambda: len(reported(self.journal)) > 0, 60.0), said(log))
+        time.sleep(10.0)
+        self.play(environment, "--start", "1.6")
+        self.all_have_one_id(log)
+
+    def test_a_new_voxel_size_amid_a_drive_loses_no_plant(self):
+        environment = self.start_master()
+        log = self.start_chain(environment)
+        self.play(environment, "--rate", "0.4")
+        place = "/field_phenotyping/preprocessing"
+        self.wait_for_service(environment, place + "/set_parameters", log)
+        time.sleep(4.0)
+        subprocess.check_call(
+            ["rosrun", "dynamic_reconfigure", "dynparam", "set", place, "voxel_size", "0.004"],
+            env=environment)
+        self.assertTrue(wait_until(lambda: "is measured by itself" in said(log), 60.0), said(log))
+        self.all_have_one_id(log)
 
     def test_a_bag_played_again_and_again_adds_no_plant(self):
         environment = self.start_master(sim_time=True)

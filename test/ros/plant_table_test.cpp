@@ -104,6 +104,36 @@ TEST(PlantTable, CountsAPlantThatChangesItsBlockOnce) {
   EXPECT_TRUE(table.plantsOf({0, 0}).empty());
 }
 
+TEST(PlantTable, WhatADraftOfAPartSaysNothingOfStaysAsItWas) {
+  PlantTable table;
+  const auto header = [](std::uint32_t revision, std::uint64_t began, std::uint64_t stamp) {
+    BlockHeader draft;
+    draft.revision = revision;
+    draft.began_ns = began * kSecond;
+    draft.stamp_ns = stamp * kSecond;
+    draft.part = {Eigen::Vector2d(0.25, -1.0), Eigen::Vector2d(4.0, 4.0)};
+    return draft;
+  };
+  const auto report = [&](const BlockHeader& draft, const std::vector<Phenotype>& plants) {
+    return table.update(ReportSource(draft), table.withUntouched(draft, plants));
+  };
+  table.update(source({0, 0}, 1U), {plant(1, 1.0), plant(2, 1.0), plant(3, 1.0), plant(4, 1.0)});
+  table.update(source({1, 0}, 1U), {plant(2, 1.1)});
+  const auto change = report(header(2U, 1U, 3U), {plant(3, 1.5), plant(5, 1.0)});
+  EXPECT_EQ(change.added, std::vector<std::int32_t>{5});
+  EXPECT_EQ(change.removed, std::vector<std::int32_t>{4}) << "in the part, and not found again";
+  ASSERT_EQ(table.plantsOf({0, 0}).size(), 3U);
+  EXPECT_EQ(table.plantsOf({0, 0})[0].id, 1) << "beside the part";
+  EXPECT_EQ(table.plantsOf({0, 0})[1].height.value, 1.5);
+  EXPECT_EQ(table.plantsOf({1, 0})[0].height.value, 1.1) << "a neighbour's by now";
+  // Of another pass it says nothing.
+  EXPECT_EQ(table.withUntouched(header(1U, 400U, 410U), {}).size(), 0U);
+  // Nor has a block of the whole tile anything untouched.
+  BlockHeader whole = header(3U, 1U, 4U);
+  whole.part.setEmpty();
+  EXPECT_EQ(table.withUntouched(whole, {}).size(), 0U);
+}
+
 TEST(PlantTable, FusesPasses) {
   PlantTable table;
   table.update(source({0, 0}, 1U, 10U, 20U), {plant(1, 1.00), plant(2, 1.0)});

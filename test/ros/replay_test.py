@@ -13,6 +13,7 @@ import tempfile
 import time
 import unittest
 
+import rosbag
 from PIL import Image
 
 
@@ -67,6 +68,21 @@ class ReplayTest(unittest.TestCase):
             self.assertAlmostEqual(float(nearest["height"]), 1.3, delta=0.05)
             self.assertAlmostEqual(float(nearest["stem_diameter"]), 0.022, delta=0.003)
             self.assertEqual(nearest["final"], "1")
+
+    def test_split_bags_in_plants_out(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag, truth = make_bag(folder)
+            with rosbag.Bag(bag) as whole:
+                parts = [rosbag.Bag(os.path.join(folder, "part_%d.bag" % k), "w") for k in (0, 1)]
+                half = (whole.get_start_time() + whole.get_end_time()) / 2
+                for topic, message, time in whole.read_messages():
+                    parts[time.to_sec() > half].write(topic, message, time)
+            for part in parts:
+                part.close()
+            code, said, plants = replay(folder, "bag:=" + os.path.join(folder, "part_*.bag"))
+        self.assertEqual(code, 0, said)
+        self.assertRegex(said, r"30 scans, in \S+ s, \S+ x real time: all is worked")
+        self.assertEqual(len(plants), len(truth), said)
 
     def test_wrong_parameters_are_named_with_what_is_right(self):
         config = os.path.join(os.path.dirname(os.path.abspath(__file__)), "wrong_parameters.yaml")

@@ -35,6 +35,7 @@ BlockHeader someHeader() {
   header.tile_size = 2.5;
   header.tile_corner = {-0.7, 12.3};
   header.margin = 0.4;
+  header.part = {Eigen::Vector2d(-17.0, 35.0), Eigen::Vector2d(-16.0, 36.5)};
   return header;
 }
 
@@ -117,6 +118,8 @@ void expectSame(const BlockHeader& a, const BlockHeader& b) {
   EXPECT_EQ(a.tile_size, b.tile_size);
   EXPECT_EQ(a.tile_corner, b.tile_corner);
   EXPECT_EQ(a.margin, b.margin);
+  EXPECT_EQ(a.part.min(), b.part.min());
+  EXPECT_EQ(a.part.max(), b.part.max());
 }
 
 void expectSame(const PointCloud& a, const PointCloud& b) {
@@ -217,6 +220,8 @@ TEST(Wire, IsThatOfTheGeneratedMessages) {
   EXPECT_EQ(block.info.index_y, 9);
   EXPECT_TRUE(block.info.final);
   EXPECT_TRUE(block.info.draft);
+  EXPECT_EQ(block.info.part_min_y, 35.0);
+  EXPECT_EQ(block.info.part_max_x, -16.0);
   EXPECT_EQ(block.cloud.origin.y, 5411932.0);
   ASSERT_EQ(block.cloud.points.size(), 5U);
   EXPECT_EQ(block.cloud.points[4].z, -4.0F);

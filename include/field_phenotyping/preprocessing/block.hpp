@@ -1,6 +1,6 @@
 #pragma once
 
-#include <Eigen/Core>
+#include <Eigen/Geometry>
 #include <algorithm>
 #include <cstdint>
 #include <cstdlib>
@@ -43,18 +43,30 @@ struct BlockHeader {
   bool draft = false;           ///< thinned so that first values come soon; better ones follow
   double tile_size = 4.0;       ///< [m]
   Eigen::Vector2d tile_corner = Eigen::Vector2d::Zero();  ///< of tile (0, 0) [m], in the map frame
-  double margin = 0.6;  ///< [m] of the neighbours' points that go with the tile
+  double margin = 0.6;  ///< [m] of what is around, that goes with the tile or its part
+  /// What a draft is about [m], in the map frame, where it is a part of the tile: the tile's other
+  /// plants are what they were last said to be. Empty: the whole tile.
+  Eigen::AlignedBox2d part;
 
   /// Least x and y of the tile in the map frame [m].
   Eigen::Vector2d lowCorner() const {
     return tile_corner + tile_size * Eigen::Vector2d(index.x, index.y);
   }
 
-  /// Whether (x, y) of the map frame lies in the tile, or within `tolerance` [m] of it.
-  bool holds(double x, double y, double tolerance = 0.0) const {
+  bool isPart() const { return !part.isEmpty(); }
+
+  /// What it is about: the tile, or the part of it.
+  Eigen::AlignedBox2d extent() const {
+    if (isPart()) return part;
     const Eigen::Vector2d low = lowCorner();
-    return x >= low.x() - tolerance && x < low.x() + tile_size + tolerance &&
-           y >= low.y() - tolerance && y < low.y() + tile_size + tolerance;
+    return {low, low + Eigen::Vector2d::Constant(tile_size)};
+  }
+
+  /// Whether (x, y) of the map frame lies in what it is about, or within `tolerance` [m] of it.
+  bool holds(double x, double y, double tolerance = 0.0) const {
+    const Eigen::AlignedBox2d box = extent();
+    return x >= box.min().x() - tolerance && x < box.max().x() + tolerance &&
+           y >= box.min().y() - tolerance && y < box.max().y() + tolerance;
   }
 };
 

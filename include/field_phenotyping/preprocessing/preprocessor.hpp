@@ -49,6 +49,10 @@ struct BlockPoints {
 Block finishBlock(BlockPoints points, const PreprocessingParameters& parameters,
                   const ComputeDevice& device = {}, DensePoints* before_thinning = nullptr);
 
+/// Of what was taken out for one tile, what a draft of a part of it needs: the part's points and
+/// those of its margin; all where `part` is empty.
+BlockPoints partOf(const BlockPoints& tile, const Eigen::AlignedBox2d& part);
+
 /// First stage: scans in, blocks out (paper 2.3). Scans accumulate in a voxel map that is kept tile
 /// by tile; a tile that changed enough, or is final, is handed on as a block with outliers and soil
 /// taken out.
@@ -98,6 +102,12 @@ class Preprocessor {
 
   /// Whether what is handed on of block `index` now is a draft.
   bool isDraft(const BlockIndex& index, bool flush) const;
+
+  /// The part of tile `index` [m], in the map frame, in which plants may be other than they were
+  /// when it was last handed on, for much has been seen there since: all that a draft need be
+  /// about. Empty where that is most of the tile, or nothing was handed on before: the whole tile;
+  /// nothing where it is nowhere.
+  std::optional<Eigen::AlignedBox2d> changedPart(const BlockIndex& index) const;
 
   /// The blocks that can be worked as one with block `first` of `due`: it alone, if scans still
   /// reach it; else with those others of `due` that no scan reaches either and that adjoin it or

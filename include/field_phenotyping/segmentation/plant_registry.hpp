@@ -39,6 +39,8 @@ struct KnownPlant {
 /// given one plant two ids, as they had placed it too far apart at first, one of them is given up
 /// once the places have come together.
 ///
+/// A draft of a part of a tile says nothing of the tile's other plants: these stay the block's.
+///
 /// An id that a block gave before it could know how the map has moved is provisional: a neighbour
 /// that knows may take it back even after the block has spoken for the last time. What that block
 /// said has then to be said once more, Outcome::taken_back.
@@ -111,6 +113,12 @@ class PlantRegistry {
     std::set<std::int32_t> seen;  // those and the ones that other blocks have claimed
   };
 
+  /// Ids of a block that a draft of a part of it says nothing of.
+  struct Untouched {
+    std::vector<std::int32_t> far;
+    std::vector<std::int32_t> near;  // within reach of the part
+  };
+
   struct FoundShift {
     Eigen::Vector2d shift;
     bool sure;  // no other fits nearly as well
@@ -135,6 +143,8 @@ class PlantRegistry {
   void file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns);
   void takeOut(const Known& known);
   void keepOwnPlants(SegmentedBlock& block) const;
+  Untouched untouchedBy(const BlockHeader& header) const;
+  void keepClaims(const std::vector<std::int32_t>& ids, const BlockIndex& index, Claims& claims);
   void releaseClaims(const BlockHeader& header);
   bool isInDoubt(std::int32_t id) const;
   template <class MayBe>
