@@ -71,8 +71,8 @@ class BlockStage {
   /// the worker's threads; may throw.
   using Work = std::function<std::vector<OutputPtr>(const InputPtr&, const Section&)>;
 
-  BlockStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
-      : pnh_(std::move(pnh)),
+  BlockStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh, const std::string& name)
+      : pnh_(pnh),
         health_(nh, pnh_, name, "block"),
         device_(chooseDevice(pnh_, health_)),
         parameters_(pnh_, health_, commonParameterNames(), [this] { parameters_changed_ = true; }),

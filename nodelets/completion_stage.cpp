@@ -14,7 +14,8 @@ constexpr std::uint64_t kLongestOpen = 120'000'000'000U;  // [ns]
 
 }  // namespace
 
-CompletionStage::CompletionStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
+CompletionStage::CompletionStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh,
+                                 const std::string& name)
     : stage_(nh, pnh, name),
       done_(historyOf(pnh)),
       completed_(stage_.privateHandle(), "completed", addSynthetic) {

@@ -17,7 +17,7 @@ namespace field_phenotyping {
 /// segmented block is passed on by reference, never copied.
 class CompletionStage {
  public:
-  CompletionStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
+  CompletionStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh, const std::string& name);
   ~CompletionStage();
 
  private:

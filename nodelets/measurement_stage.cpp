@@ -19,7 +19,8 @@ double secondsSince(std::uint64_t wall_ns) {
 
 }  // namespace
 
-MeasurementStage::MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name)
+MeasurementStage::MeasurementStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh,
+                                   const std::string& name)
     : stage_(nh, pnh, name), plants_(stage_.privateHandle(), stage_.health()) {
   markers_ = stage_.privateHandle().advertise<visualization_msgs::MarkerArray>(
       "markers", 10, [this](const ros::SingleSubscriberPublisher&) { new_listener_ = true; });

@@ -20,7 +20,7 @@ namespace field_phenotyping {
 /// and kept in a journal.
 class MeasurementStage {
  public:
-  MeasurementStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
+  MeasurementStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh, const std::string& name);
   ~MeasurementStage();
 
  private:

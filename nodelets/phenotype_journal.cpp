@@ -423,7 +423,7 @@ std::string moveJournalAside(const std::string& path) {
   std::error_code error;
   if (!fs::exists(path, error)) return "";
   const WriterLock lock(path);
-  const std::string other = freeNameBeside(path);
+  std::string other = freeNameBeside(path);
   fs::rename(path, other, error);
   if (error) throw JournalError("cannot rename the journal " + path + ": " + error.message());
   // A killed writer has left its newest reports in the log beside it.

@@ -19,7 +19,7 @@ const char* const kOvertaken = "revisions overtaken by newer ones";
 
 }  // namespace
 
-SegmentationStage::SegmentationStage(ros::NodeHandle nh, ros::NodeHandle pnh,
+SegmentationStage::SegmentationStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh,
                                      const std::string& name)
     : stage_(nh, pnh, name),
       registry_(registryFor(stage_.privateHandle(), stage_.health())),

@@ -24,7 +24,7 @@ namespace field_phenotyping {
 /// every plant its one id.
 class SegmentationStage {
  public:
-  SegmentationStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
+  SegmentationStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh, const std::string& name);
   ~SegmentationStage();
 
  private:
