@@ -60,9 +60,9 @@ std::set<std::string> ownParameterNames() {
 
 }  // namespace
 
-PreprocessingStage::PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh,
+PreprocessingStage::PreprocessingStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh,
                                        const std::string& name)
-    : pnh_(std::move(pnh)),
+    : pnh_(pnh),
       health_(nh, pnh_, name, "scan"),
       target_frame_(withoutSlash(pnh_.param<std::string>("target_frame", "map"))),
       tf_timeout_(pnh_.param("tf_timeout", 1.0)),

@@ -38,7 +38,8 @@ namespace field_phenotyping {
 /// and blocks go out all the same.
 class PreprocessingStage {
  public:
-  PreprocessingStage(ros::NodeHandle nh, ros::NodeHandle pnh, const std::string& name);
+  PreprocessingStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh,
+                     const std::string& name);
   ~PreprocessingStage();
 
  private:
