@@ -4,7 +4,10 @@
 #include <cmath>
 #include <cstdint>
 #include <unordered_map>
+#include <utility>
 #include <vector>
+
+#include "field_phenotyping/common/median.hpp"
 
 namespace field_phenotyping {
 
@@ -34,9 +37,7 @@ std::size_t usualDensity(const PointCloud& cloud) {
   std::vector<std::size_t> densities;
   densities.reserve(asked.size());
   for (const std::uint64_t key : asked) densities.push_back(counts[key]);
-  const auto middle = densities.begin() + static_cast<std::ptrdiff_t>(densities.size() / 2U);
-  std::nth_element(densities.begin(), middle, densities.end());
-  return *middle;
+  return medianOf(std::move(densities));
 }
 
 }  // namespace field_phenotyping

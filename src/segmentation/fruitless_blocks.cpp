@@ -2,8 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <sstream>
+
+#include "field_phenotyping/common/bounds.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -20,19 +21,16 @@ void FruitlessBlocks::add(const BlockHeader& header, const std::vector<Eigen::Ve
   if (ground.observed()) with_soil_ += tiles;
   points_ += points.size();
   if (points.empty()) return;
-  Eigen::Array2f low = Eigen::Array2f::Constant(std::numeric_limits<float>::infinity());
-  Eigen::Array2f high = -low;
   for (const Eigen::Vector3f& point : points) {
-    low = low.min(point.head<2>().array());
-    high = high.max(point.head<2>().array());
     const float height = ground.heightAbove(point);
     const bool in_band =
         height >= parameters.seed_min_height && height <= parameters.seed_max_height;
     if (in_band) ++points_in_band_;
   }
   const double tile_area = std::pow(header.tile_size + 2.0 * header.margin, 2);
-  area_ +=
-      std::min(static_cast<double>(tiles) * tile_area, static_cast<double>((high - low).prod()));
+  const Bounds bounds = boundsOf(points);
+  const float covered = (bounds.high - bounds.low).head<2>().prod();
+  area_ += std::min(static_cast<double>(tiles) * tile_area, static_cast<double>(covered));
 }
 
 std::string FruitlessBlocks::reason(const SegmentationParameters& parameters) const {

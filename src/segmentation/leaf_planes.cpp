@@ -56,7 +56,6 @@ LeafPlanes LeafPlanes::learn(const OrganCells& cells, const LeafPieces& pieces,
 LeafPlanes::Bearing LeafPlanes::bearingOf(const OrganCells& cells,
                                           const std::vector<std::uint32_t>& members,
                                           std::int32_t plant, const LeafHost& host) {
-  constexpr float kWholeCells = 30.0F;  // a piece of so many has its full say
   Bearing bearing;
   bearing.plant = plant;
   float height = 0.0F;
@@ -74,7 +73,7 @@ LeafPlanes::Bearing LeafPlanes::bearingOf(const OrganCells& cells,
   }
   bearing.layer = layerOf(height / static_cast<float>(members.size()), host);
   if (count == 0.0F) return bearing;
-  bearing.say = std::min(1.0F, count / kWholeCells);
+  bearing.say = sayOfPiece(count);
   bearing.once /= count;
   bearing.doubled /= count;
   return bearing;

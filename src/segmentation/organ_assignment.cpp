@@ -41,7 +41,6 @@ std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const Lea
                                               const LeafPlanes* planes) {
   constexpr float kFarthest = 1.2F;  // [m] a leaf, and what its stem leans
   constexpr float kPlaneWeight = 6.0F;
-  constexpr float kWholeCells = 30.0F;   // a piece of so many has its full say
   constexpr std::size_t kSamples = 64U;  // cells that show the form of a piece
   const auto level = [](const Eigen::Vector3f& p) { return Eigen::Vector3f(p.x(), p.y(), 0.0F); };
   std::vector<std::uint8_t> has_stem(hosts.size(), 0U);
@@ -58,8 +57,7 @@ std::vector<std::vector<Misfit>> compareForms(const OrganCells& cells, const Lea
     const std::size_t stride = (members.size() + kSamples - 1U) / kSamples;
     PieceSamples samples;
     samples.take(cells, members, stride);
-    const auto size = static_cast<float>(members.size());
-    const float say = size / std::max(size, kWholeCells);
+    const float say = sayOfPiece(static_cast<float>(members.size()));
     const float share = weight * say / static_cast<float>(samples.size());
     grid.forEachWithin(level(cells.centers[members[members.size() / 2U]]), kFarthest,
                        [&](std::uint32_t plant, float) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <vector>
 
@@ -12,6 +13,12 @@ struct LeafPieces {
   std::vector<std::int32_t> of_cell;              ///< -1: in no piece
   std::vector<std::vector<std::uint32_t>> cells;  ///< of each piece
 };
+
+/// What a piece of so many cells has to say, of what one of a whole leaf has: in [0, 1].
+inline float sayOfPiece(float cells) {
+  constexpr float kWhole = 30.0F;
+  return std::min(1.0F, cells / kWhole);
+}
 
 /// Finds pieces of leaves: cells on one smooth ribbon, each carried on through crossings as it
 /// foretells. The cells of a piece get the shape of that piece alone.
