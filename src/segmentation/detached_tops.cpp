@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <utility>
+#include <vector>
 
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
@@ -48,18 +50,17 @@ class OwnedPoints {
   PointOwners& isolated_;
 };
 
-constexpr float kBelow = 0.15F;  // [m] that shows how densely a plant is seen
-
-/// The upper part of every plant.
+/// The upper part of a plant.
 struct UpperPart {
   float top = std::numeric_limits<float>::lowest();  // [m]
   float bottom = std::numeric_limits<float>::max();  // [m] of the whole plant
-  float lowest = 0.0F;                               // [m] that a detached top may begin at
-  std::vector<std::uint32_t> points;                 // above it and a little below, downwards
+  float rest = 0.0F;                  // [m] what is lower is no part of a detached top
+  std::vector<std::uint32_t> points;  // downwards, the upper ones of the rest among them
 };
 
 std::vector<UpperPart> findUpperParts(const OwnedPoints& points, std::size_t plants) {
-  constexpr float kUpper = 0.35F;  // share of a plant's height
+  constexpr float kUpper = 0.40F;  // shares of a plant's height
+  constexpr float kShown = 0.45F;
   std::vector<UpperPart> parts(plants);
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     const std::int32_t plant = points.ownerOf(i);
@@ -68,12 +69,17 @@ std::vector<UpperPart> findUpperParts(const OwnedPoints& points, std::size_t pla
     part.top = std::max(part.top, points.at(i).z());
     part.bottom = std::min(part.bottom, points.at(i).z());
   }
-  for (UpperPart& part : parts) part.lowest = part.top - kUpper * (part.top - part.bottom);
+  std::vector<float> lowest(plants);
+  for (std::size_t plant = 0; plant < plants; ++plant) {
+    UpperPart& part = parts[plant];
+    part.rest = part.top - kUpper * (part.top - part.bottom);
+    lowest[plant] = part.top - kShown * (part.top - part.bottom);
+  }
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     const std::int32_t plant = points.ownerOf(i);
     if (plant < 0) continue;
-    UpperPart& part = parts[static_cast<std::size_t>(plant)];
-    if (points.at(i).z() > part.lowest - kBelow) part.points.push_back(i);
+    const auto at = static_cast<std::size_t>(plant);
+    if (points.at(i).z() >= lowest[at]) parts[at].points.push_back(i);
   }
   parallelFor(plants, [&](std::size_t plant) {
     std::vector<std::uint32_t>& own = parts[plant].points;
@@ -86,96 +92,193 @@ std::vector<UpperPart> findUpperParts(const OwnedPoints& points, std::size_t pla
   return parts;
 }
 
-/// What stands above a gap in which points were to be expected.
-struct DetachedTop {
-  std::size_t count = 0U;  // of the plant's highest points; 0: there is no such gap
-  std::int32_t to = -1;    // the other plant that is near; -1: none
-  float gap = 0.0F;        // [m] below it
-  float drop = 0.0F;       // [m] of the plant's top
+/// The way from a plant's highest point to the rest of it, from point to point.
+struct WayDown {
+  float gap = 0.0F;                  // [m] the longest step that it cannot do without
+  std::vector<std::uint32_t> above;  // the points before that step, the highest first
 };
 
-/// The other plant that most of these points are nearest to, among those within reach; -1 if there
-/// is none.
+/// Goes down in steps that get longer until they lead to the rest.
+WayDown findWayDown(const OwnedPoints& points, const UpperPart& part) {
+  constexpr float kFirstStep = 0.012F;  // [m]
+  constexpr float kLongestStep = 0.32F;
+  constexpr float kLonger = 1.12F;
+  constexpr std::size_t kMost = 1500U;  // more are no top
+  const std::vector<std::uint32_t>& own = part.points;
+  WayDown way;
+  if (own.empty()) return way;
+  std::vector<bool> reached(own.size(), false);
+  reached[0] = true;
+  std::vector<std::size_t> front{0U};
+  bool has_arrived = false;
+  const auto stepFrom = [&](std::size_t from) {
+    const Eigen::Vector3f& place = points.at(own[from]);
+    const auto look = [&](std::size_t to) {
+      const Eigen::Vector3f& there = points.at(own[to]);
+      if (std::fabs(there.z() - place.z()) > way.gap) return false;
+      if (!reached[to] && (there - place).squaredNorm() <= way.gap * way.gap) {
+        reached[to] = true;
+        front.push_back(to);
+        has_arrived = has_arrived || there.z() < part.rest;
+      }
+      return true;
+    };
+    for (std::size_t to = from; to > 0U && look(to - 1U);) --to;
+    for (std::size_t to = from + 1U; to < own.size() && look(to);) ++to;
+  };
+  std::size_t before = 0U;
+  for (way.gap = kFirstStep; way.gap < kLongestStep && !has_arrived && front.size() <= kMost;) {
+    before = front.size();
+    for (std::size_t next = 0U; next < front.size(); ++next) stepFrom(front[next]);
+    if (!has_arrived && front.size() <= kMost) way.gap *= kLonger;
+  }
+  if (!has_arrived && front.size() <= kMost) before = front.size();
+  for (std::size_t k = 0; k < before; ++k) way.above.push_back(own[front[k]]);
+  return way;
+}
+
+/// What stands above a longer gap than plants of the stand usually have.
+struct DetachedTop {
+  std::vector<std::uint32_t> points;
+  std::int32_t to = -1;  // the other plant that is near; -1: none
+  float gap = 0.0F;      // [m] below it
+  float top = 0.0F;      // [m]
+  float next = 0.0F;     // [m] what is highest of the plant without it
+};
+
+/// How near another plant must be to what stands above a gap [m]: the longer the gap is for this
+/// stand, the less. @param usual gap [m]
+float reachOver(float gap, float usual) {
+  constexpr float kNear = 0.5F;       // of the gap
+  constexpr float kFarthest = 0.12F;  // [m]
+  constexpr float kLong = 3.0F;       // usual ones: what is nearer to another plant is that one's
+  return std::min(gap < kLong * usual ? kNear * gap : gap, kFarthest);
+}
+
+/// The other plant that most of these points are nearest to; -1 if less than half of them have
+/// one within reach.
 std::int32_t nearestOther(const OwnedPoints& points, const NeighborGrid& grid,
-                          const std::uint32_t* begin, const std::uint32_t* end, float reach) {
-  const std::int32_t plant = points.ownerOf(*begin);
+                          const std::vector<std::uint32_t>& top, float reach) {
+  constexpr std::size_t kOneIn = 2U;
+  const std::int32_t plant = points.ownerOf(top.front());
   std::map<std::int32_t, std::size_t> votes;
-  for (const std::uint32_t* i = begin; i != end; ++i) {
+  std::size_t near = 0U;
+  for (const std::uint32_t i : top) {
     float least = std::numeric_limits<float>::max();
     std::int32_t nearest = -1;
-    grid.forEachWithin(points.at(*i), reach, [&](std::uint32_t k, float squared) {
+    grid.forEachWithin(points.at(i), reach, [&](std::uint32_t k, float squared) {
       const std::int32_t owner = points.ownerOf(k);
       if (owner < 0 || owner == plant || !(squared < least)) return;
       least = squared;
       nearest = owner;
     });
-    if (nearest >= 0) ++votes[nearest];
+    if (nearest < 0) continue;
+    ++votes[nearest];
+    ++near;
   }
   std::int32_t most = -1;
+  if (kOneIn * near < top.size()) return most;
   for (const auto& [other, count] : votes) {
     if (most < 0 || count > votes[most]) most = other;
   }
   return most;
 }
 
-/// The longest gap between points of a plant's upper part [m]; 0 of a point or none.
-float longestGap(const OwnedPoints& points, const UpperPart& part) {
-  float longest = 0.0F;
-  for (std::size_t k = 1; k < part.points.size(); ++k) {
-    const float above = points.at(part.points[k - 1U]).z();
-    if (above < part.lowest) break;
-    longest = std::max(longest, above - points.at(part.points[k]).z());
-  }
-  return longest;
-}
-
-/// The least gap that parts a top from its plant [m], in a stand as well seen as this one.
-float leastGap(const OwnedPoints& points, const std::vector<UpperPart>& parts) {
-  constexpr float kLeast = 0.06F;  // [m]
-  constexpr float kTimes = 1.5F;   // the longest that plants usually have
-  std::vector<float> longest(parts.size());
-  parallelFor(parts.size(),
-              [&](std::size_t plant) { longest[plant] = longestGap(points, parts[plant]); });
-  return longest.empty() ? kLeast : std::max(kLeast, kTimes * medianOf(std::move(longest)));
-}
-
-DetachedTop findDetachedTop(const OwnedPoints& points, const NeighborGrid& grid,
-                            const UpperPart& part, float least_gap) {
-  constexpr float kExpected = 8.0F;   // points in the gap
-  constexpr float kNear = 0.4F;       // of the gap: another plant's points
-  constexpr float kFarthest = 0.12F;  // [m]
+/// What stands above gaps of a plant, one below the other: all but the last are near other plants.
+/// @param way down the part
+/// @param usual gap in this stand [m]
+std::vector<DetachedTop> findDetachedTops(const OwnedPoints& points, const NeighborGrid& grid,
+                                          UpperPart part, WayDown way, float usual) {
+  constexpr float kLeastGap = 0.02F;  // [m]
+  constexpr float kTimes = 1.5F;      // the usual gap
+  const float least_gap = std::max(kLeastGap, kTimes * usual);
+  constexpr std::size_t kMostTops = 4U;
+  constexpr std::size_t kMostPoints = 400U;  // of a branch or the end of a leaf
   // One point in so many may be of the stem, which has followed the neighbour's.
   constexpr std::size_t kFewStem = 10U;
-  DetachedTop detached;
-  const std::vector<std::uint32_t>& own = part.points;
-  std::size_t stem = 0U;   // points of the stem above the gap
-  std::size_t below = 0U;  // first point that is more than kBelow under the gap
-  for (std::size_t k = 1; k < own.size(); ++k) {
-    if (points.isStem(own[k - 1U])) ++stem;
-    const float above = points.at(own[k - 1U]).z();
-    if (above < part.lowest) break;
-    const float end = points.at(own[k]).z();
-    const float gap = above - end;
-    if (gap < least_gap || kFewStem * stem > k) continue;
-    while (below < own.size() && points.at(own[below]).z() > end - kBelow) ++below;
-    if (static_cast<float>(below - k) * gap < kExpected * kBelow) continue;
-    const std::int32_t to =
-        nearestOther(points, grid, own.data(), own.data() + k, std::min(kNear * gap, kFarthest));
-    if (to >= 0 || detached.to < 0) detached = {k, to, gap, part.top - end};
+  std::vector<DetachedTop> tops;
+  while (!way.above.empty() && way.gap >= least_gap && way.above.size() <= kMostPoints) {
+    std::size_t stem = 0U;
+    for (const std::uint32_t i : way.above) stem += points.isStem(i) ? 1U : 0U;
+    if (kFewStem * stem > way.above.size()) break;
+    DetachedTop top;
+    top.to = nearestOther(points, grid, way.above, reachOver(way.gap, usual));
+    top.gap = way.gap;
+    top.top = points.at(way.above.front()).z();
+    top.points = std::move(way.above);
+    std::vector<std::uint32_t> gone = top.points;
+    std::sort(gone.begin(), gone.end());
+    part.points.erase(std::remove_if(part.points.begin(), part.points.end(),
+                                     [&](std::uint32_t i) {
+                                       return std::binary_search(gone.begin(), gone.end(), i);
+                                     }),
+                      part.points.end());
+    if (part.points.empty()) break;
+    top.next = points.at(part.points.front()).z();
+    tops.push_back(std::move(top));
+    if (tops.back().to < 0 || tops.size() == kMostTops) break;
+    way = findWayDown(points, part);
   }
-  return detached;
+  return tops;
 }
 
-/// Share of the tops near other plants that are their own plant's. Where tops are badly seen they
-/// have such gaps too, and then about as many have no other plant near as have one.
-float shareByChance(const std::vector<DetachedTop>& detached) {
-  constexpr float kLeast = 0.1F;  // in stands that are well seen
-  float near = 0.0F;
-  float alone = 0.0F;
-  for (const DetachedTop& top : detached) {
-    if (top.count > 0U) (top.to >= 0 ? near : alone) += 1.0F;
+/// How often tops near other plants are their own plant's.
+class Chance {
+ public:
+  /// @param share_near of the plants without a detached top whose highest points have another plant
+  /// as near as those have
+  Chance(const std::vector<std::vector<DetachedTop>>& detached, float share_near)
+      : odds_(share_near / std::max(1.0F - share_near, kLeast)) {
+    for (const std::vector<DetachedTop>& tops : detached) {
+      for (const DetachedTop& top : tops) (top.to >= 0 ? near_ : alone_).push_back(top.gap);
+    }
   }
-  return std::max(kLeast, alone / std::max(near, 1.0F));
+
+  /// Share of those above gaps as long as this or longer. Tops with no other plant near are their
+  /// own plant's, and others would be beside them as often as beside any top.
+  float shareAbove(float gap) const {
+    return std::max(kLeast,
+                    odds_ * countAbove(alone_, gap) / std::max(countAbove(near_, gap), 1.0F));
+  }
+
+ private:
+  static constexpr float kLeast = 0.1F;
+
+  static float countAbove(const std::vector<float>& gaps, float gap) {
+    return static_cast<float>(
+        std::count_if(gaps.begin(), gaps.end(), [&](float other) { return other >= gap; }));
+  }
+
+  float odds_;
+  std::vector<float> near_, alone_;
+};
+
+/// Share of the plants without a detached top that have another plant as near to their highest
+/// points as it would count for one.
+float shareNear(const OwnedPoints& points, const NeighborGrid& grid,
+                const std::vector<UpperPart>& parts,
+                const std::vector<std::vector<DetachedTop>>& detached, float usual) {
+  constexpr float kTop = 0.02F;  // [m]
+  std::vector<float> gaps;
+  for (const std::vector<DetachedTop>& tops : detached) {
+    for (const DetachedTop& top : tops) gaps.push_back(top.gap);
+  }
+  if (gaps.empty()) return 0.0F;
+  const float reach = reachOver(medianOf(std::move(gaps)), usual);
+  float tried = 0.0F;
+  float near = 0.0F;
+  for (std::size_t plant = 0; plant < parts.size(); ++plant) {
+    const UpperPart& part = parts[plant];
+    if (!detached[plant].empty() || part.points.empty()) continue;
+    std::vector<std::uint32_t> top;
+    for (const std::uint32_t i : part.points) {
+      if (points.at(i).z() < part.top - kTop) break;
+      top.push_back(i);
+    }
+    tried += 1.0F;
+    if (nearestOther(points, grid, top, reach) >= 0) near += 1.0F;
+  }
+  return near / std::max(tried, 1.0F);
 }
 
 }  // namespace
@@ -183,31 +286,37 @@ float shareByChance(const std::vector<DetachedTop>& detached) {
 std::vector<float> giveDetachedTops(const Block& block, const NeighborGrid& grid,
                                     std::size_t plants, PointOwners& owners,
                                     PointOwners& isolated) {
+  constexpr float kSparse = 0.045F;  // [m] where gaps are usually longer they tell nothing
   constexpr float kMostByChance = 0.5F;
   OwnedPoints points(block, owners, isolated);
   const std::vector<UpperPart> parts = findUpperParts(points, plants);
-  const float least_gap = leastGap(points, parts);
-  std::vector<DetachedTop> detached(plants);
+  std::vector<WayDown> ways(plants);
+  parallelFor(plants, [&](std::size_t plant) { ways[plant] = findWayDown(points, parts[plant]); });
+  std::vector<float> gaps;
+  for (const WayDown& way : ways) gaps.push_back(way.gap);
+  const float usual = gaps.empty() ? 0.0F : medianOf(std::move(gaps));
+  std::vector<float> moved(plants, 0.0F);
+  if (usual > kSparse) return moved;
+
+  std::vector<std::vector<DetachedTop>> detached(plants);
   parallelFor(plants, [&](std::size_t plant) {
-    detached[plant] = findDetachedTop(points, grid, parts[plant], least_gap);
+    detached[plant] = findDetachedTops(points, grid, parts[plant], std::move(ways[plant]), usual);
   });
-  std::vector<float> moved(plants, 0.0F);  // [m] of each top
-  const float by_chance = shareByChance(detached);
-  if (by_chance >= kMostByChance) return moved;
+  const Chance chance(detached, shareNear(points, grid, parts, detached, usual));
   for (std::size_t plant = 0; plant < plants; ++plant) {
-    const DetachedTop& top = detached[plant];
-    if (top.to < 0) continue;
-    const auto to = static_cast<std::size_t>(top.to);
-    // What would raise that one too by so much is as little its own.
-    const float rise = parts[plant].top - parts[to].top;
-    const bool fits = rise < top.gap;
-    for (std::size_t k = 0; k < top.count; ++k) {
-      points.give(parts[plant].points[k], fits ? top.to : -1);
+    for (const DetachedTop& top : detached[plant]) {
+      const float by_chance = chance.shareAbove(top.gap);
+      if (top.to < 0 || by_chance >= kMostByChance) break;
+      const auto to = static_cast<std::size_t>(top.to);
+      // What would raise that one too by so much is as little its own.
+      const float rise = top.top - parts[to].top;
+      const bool fits = rise < top.gap;
+      for (const std::uint32_t i : top.points) points.give(i, fits ? top.to : -1);
+      const float doubt = std::sqrt(by_chance);
+      moved[plant] = std::max(moved[plant], doubt * (parts[plant].top - top.next));
+      if (fits) moved[to] = std::max(moved[to], doubt * rise);
     }
-    moved[plant] = std::max(moved[plant], top.drop);
-    if (fits) moved[to] = std::max(moved[to], rise);
   }
-  for (float& doubt : moved) doubt *= std::sqrt(by_chance);
   return moved;
 }
 

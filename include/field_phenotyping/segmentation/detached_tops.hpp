@@ -10,15 +10,20 @@
 namespace field_phenotyping {
 
 /// Gives to other plants what stands above a plant without being joined to it: a branch of a taller
-/// neighbour's tassel, or the end of its leaf, that happens to hang over a short plant.
+/// neighbour's tassel, or the end of its leaf, that happens to hang over a short plant or beside
+/// it.
 ///
-/// A plant is of one piece. Where nothing of it is seen for a stretch in which, by how densely the
-/// 15 cm below are seen, many of its points were to be expected, what is above is another plant's,
-/// if points of one are far nearer to it than the plant's own: the one that most of it is nearest
-/// to, or no plant's where that would raise that one as far. Where plants of the stand usually have
-/// long stretches of which nothing is seen, it must be longer than those, and where tops above such
-/// a stretch have often no other plant near, nothing is given. A plant's stem stays its own, but
-/// for a few points that have followed the neighbour's.
+/// A plant is of one piece. From its highest point a way leads down to the rest of it, from point
+/// to point; the longest step that no way can do without is a gap (the highest edge on the path in
+/// the minimum spanning tree of its points). Where that is longer than plants of the stand usually
+/// have, what is above is another plant's, if points of one are far nearer to it than the plant's
+/// own: the one that most of it is nearest to, or no plant's where that would raise that one as
+/// far. What is highest then is looked at likewise. A plant's stem stays its own, but for a few
+/// points that have followed the neighbour's.
+///
+/// Nothing is given where gaps of some centimetres are usual, for tops that are badly seen, nor
+/// above gaps that as many tops have with no other plant near, as far as one is near to tops by
+/// chance.
 ///
 /// @param grid        over the points of `block.cloud`
 /// @param plants      how many there are
