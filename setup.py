@@ -1,6 +1,5 @@
-from distutils.core import setup
-
 from catkin_pkg.python_setup import generate_distutils_setup
+from setuptools import setup
 
 setup(
     **generate_distutils_setup(

@@ -234,7 +234,7 @@ class Voxels {
   using Index = Eigen::Array3i;
 
   static std::uint64_t keyOf(const Index& v) {
-    constexpr int kOffset = 1 << 20;
+    constexpr std::int64_t kOffset = 1 << 20;
     const auto bits = [](int i) { return static_cast<std::uint64_t>(i + kOffset); };
     return bits(v.x()) << 42U | bits(v.y()) << 21U | bits(v.z());
   }

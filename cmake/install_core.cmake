@@ -1,4 +1,5 @@
 # What find_package(field_phenotyping) finds after `cmake --install` without ROS. Component `core`.
+# catkin_lint reads it too: it is to leave alone what is not installed where catkin would.
 include(CMakePackageConfigHelpers)
 set(package_destination ${CMAKE_INSTALL_LIBDIR}/cmake/${PROJECT_NAME})
 set_target_properties(field_phenotyping_core PROPERTIES EXPORT_NAME core)
@@ -6,7 +7,8 @@ install(TARGETS field_phenotyping_core EXPORT field_phenotyping-targets
   ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT core
   LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT core
 )
-install(DIRECTORY include/${PROJECT_NAME} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT core)
+#catkin_lint: ignore_once wrong_install_destination
+install(DIRECTORY include/${PROJECT_NAME} DESTINATION "${CMAKE_INSTALL_INCLUDEDIR}" COMPONENT core)
 install(EXPORT field_phenotyping-targets
   NAMESPACE field_phenotyping::
   DESTINATION ${package_destination} COMPONENT core
@@ -29,6 +31,7 @@ configure_package_config_file(cmake/field_phenotyping-config.cmake.in
 write_basic_package_version_file(${CMAKE_CURRENT_BINARY_DIR}/field_phenotyping-config-version.cmake
   COMPATIBILITY SameMinorVersion
 )
+#catkin_lint: ignore_once wrong_install_destination missing_file
 install(FILES
   ${CMAKE_CURRENT_BINARY_DIR}/field_phenotyping-config.cmake
   ${CMAKE_CURRENT_BINARY_DIR}/field_phenotyping-config-version.cmake

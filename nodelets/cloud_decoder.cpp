@@ -4,7 +4,6 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <limits>
@@ -12,6 +11,7 @@
 #include <string>
 #include <vector>
 
+#include "field_phenotyping/common/float_step.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/usual_density.hpp"
 
@@ -268,13 +268,12 @@ void requireMetres(const Scan& scan) {
 }
 
 double coordinateResolution(const PointCloud2& message, const Scan& scan) {
-  const auto far = static_cast<float>(scan.cloud.origin.cwiseAbs().maxCoeff());
+  constexpr std::array<const char*, 3> kNames = {"x", "y", "z"};
   double coarsest = 0.0;
-  for (const char* name : {"x", "y", "z"}) {
-    const PointField* field = findField(message, name);
+  for (std::size_t axis = 0; axis < kNames.size(); ++axis) {
+    const PointField* field = findField(message, kNames[axis]);
     if (field == nullptr || field->datatype != PointField::FLOAT32) continue;
-    const float step = std::nextafter(far, std::numeric_limits<float>::infinity()) - far;
-    coarsest = std::max(coarsest, static_cast<double>(step));
+    coarsest = std::max(coarsest, floatStep(scan.cloud.origin[static_cast<Eigen::Index>(axis)]));
   }
   return coarsest;
 }

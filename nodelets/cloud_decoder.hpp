@@ -30,10 +30,12 @@ void requireValidStamp(const sensor_msgs::PointCloud2& message);
 /// when the layout does not fit the data
 Scan toScan(const sensor_msgs::PointCloud2& message);
 
+/// For scans of any sensor, however sparse: only what reaches farther than a sensor sees is
+/// refused. A whole cloud has more to show, and phenotype_cloud asks more of it.
 /// @throws CloudFormatError when its points lie so far apart that it cannot be in metres
 void requireMetres(const Scan& scan);
 
-/// Smallest step [m] that the coordinates of the cloud can resolve, by their type and magnitude.
+/// Step [m] that the coarsest of x, y and z comes in, by its type and magnitude; 0: all FLOAT64.
 double coordinateResolution(const sensor_msgs::PointCloud2& message, const Scan& scan);
 
 /// The byte order of this machine, for messages that are made here.

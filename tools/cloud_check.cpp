@@ -1,11 +1,11 @@
 #include "cloud_check.hpp"
 
 #include <algorithm>
-#include <cmath>
-#include <limits>
+#include <array>
 #include <sstream>
 #include <stdexcept>
 
+#include "field_phenotyping/common/float_step.hpp"
 #include "field_phenotyping/common/usual_density.hpp"
 #include "field_phenotyping/segmentation/fruitless_blocks.hpp"
 #include "point_file.hpp"
@@ -13,17 +13,15 @@
 namespace field_phenotyping {
 namespace {
 
-/// Steps that x and y of the file come in, where they are FLOAT32 [m]; else 0.
-double coordinateStep(const CloudFile& input) {
-  double step = 0.0;
-  for (int axis = 0; axis < 2; ++axis) {
-    const Field field = requireField(input.contents, axis == 0 ? "x" : "y", "input");
-    if (field.isDouble()) continue;
-    const auto far = static_cast<float>(std::abs(input.cloud.origin[axis]));
-    step = std::max(step, static_cast<double>(
-                              std::nextafter(far, std::numeric_limits<float>::infinity()) - far));
+/// Step [m] that the coarsest of x, y and z of the file comes in; 0: all FLOAT64.
+double coordinateResolution(const CloudFile& input) {
+  constexpr std::array<const char*, 3> kNames = {"x", "y", "z"};
+  double coarsest = 0.0;
+  for (std::size_t axis = 0; axis < kNames.size(); ++axis) {
+    if (requireField(input.contents, kNames[axis], "input").isDouble()) continue;
+    coarsest = std::max(coarsest, floatStep(input.cloud.origin[static_cast<Eigen::Index>(axis)]));
   }
-  return step;
+  return coarsest;
 }
 
 }  // namespace
@@ -46,7 +44,7 @@ std::vector<std::string> doubtsAbout(const CloudFile& input, const PipelineResul
                                      const Parameters& parameters) {
   constexpr double kCoarse = 0.001;  // [m] steps that blur a stem
   std::vector<std::string> doubts;
-  const double step = coordinateStep(input);
+  const double step = coordinateResolution(input);
   if (step > kCoarse) {
     std::ostringstream text;
     text << "so far from the origin FLOAT32 coordinates come in steps of " << step

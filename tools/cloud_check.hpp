@@ -9,7 +9,8 @@
 
 namespace field_phenotyping {
 
-/// Refuses a cloud whose points lie so far apart that its coordinates cannot be in metres.
+/// Refuses a whole cloud whose points lie so far apart that its coordinates cannot be in metres:
+/// there are too few on a square metre for any plant.
 /// @throws std::runtime_error naming the file and what would help
 void requireMetres(const std::string& path, const CloudFile& input);
 

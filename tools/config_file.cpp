@@ -48,6 +48,9 @@ void readConfigFile(const std::string& path, Parameters& parameters) {
   YAML::Node root;
   try {
     root = YAML::LoadFile(path);
+  } catch (const YAML::BadFile&) {
+    throw std::runtime_error("cannot read " + path +
+                             ". Check that the file is there and may be read.");
   } catch (const YAML::Exception& error) {
     throw std::runtime_error(path + ": cannot be read as YAML: " + error.what());
   }

@@ -27,19 +27,6 @@ std::uint64_t hashOf(const Eigen::Vector3f& point, std::uint32_t color) {
   return hash;
 }
 
-/// What falls into one cell; places relative to the cell's middle.
-struct Sums {
-  double weight = 0.0;
-  double turn = 0.0;
-  double rise = 0.0;
-  double deviation = 0.0;
-};
-
-struct RowEnds {
-  double low = std::numeric_limits<double>::max();
-  double high = std::numeric_limits<double>::lowest();
-};
-
 /// @param in_slice, turn shares of the slice's length and of the circumference
 std::size_t patchIndex(long number, double in_slice, double turn) {
   constexpr int kRows = MeasuredSurface::kPatchRows;
@@ -71,112 +58,142 @@ std::uint32_t packed(const Eigen::Vector3f& rgb) {
   return bytes[0] << 16U | bytes[1] << 8U | bytes[2];
 }
 
+/// What falls into the cells of all slices while points are added.
+struct MeasuredSurface::CellSums {
+  /// Places relative to the cell's middle.
+  struct Sum {
+    double weight = 0.0;
+    double turn = 0.0;
+    double rise = 0.0;
+    double deviation = 0.0;
+  };
+  struct RowEnds {
+    double low = std::numeric_limits<double>::max();
+    double high = std::numeric_limits<double>::lowest();
+  };
+
+  std::vector<Sum> cells;               // by slice, by row and round the stem
+  std::vector<Eigen::Vector3f> colors;  // of those; empty: no colours
+  std::vector<RowEnds> rows;            // by slice
+};
+
 MeasuredSurface::MeasuredSurface(const PointCloud& cloud, IndexSpan stem, const SurfacePrior& prior,
                                  double cell)
     : points_(stem.size()),
       has_colors_(cloud.hasColors()),
       rows_(std::max(1, static_cast<int>(std::lround(kSliceLength / cell)))),
-      columns_(std::max(6, static_cast<int>(std::lround(2.0 * kPi * prior.meanRadius() / cell)))) {
+      columns_(std::max(6, static_cast<int>(std::lround(2.0 * kPi * prior.meanRadius() / cell)))),
+      lowest_(std::numeric_limits<double>::max()),
+      highest_(std::numeric_limits<double>::lowest()) {
   // What lies beyond the coarse model, which covers all points but a few that its fit did not look
   // at, is no surface.
   first_slice_ = sliceAt(prior, -kSliceLength);
   const long last = sliceAt(prior, prior.frame().length() + kSliceLength);
   slices_.resize(static_cast<std::size_t>(last - first_slice_ + 1));
-  const std::size_t cells_a_slice =
-      static_cast<std::size_t>(rows_) * static_cast<std::size_t>(columns_);
-  std::vector<Sums> sums(slices_.size() * cells_a_slice);
-  std::vector<Eigen::Vector3f> colors(has_colors_ ? sums.size() : 0U, Eigen::Vector3f::Zero());
-  std::vector<RowEnds> ends(slices_.size() * static_cast<std::size_t>(rows_));
   patches_.resize(slices_.size() * kPatchRows * kPatchColumns);
-  const double most_deviation = prior.meanRadius();
-  lowest_ = std::numeric_limits<double>::max();
-  highest_ = std::numeric_limits<double>::lowest();
-
-  const double turn_a_column = 2.0 * kPi / columns_;
+  CellSums sums;
+  sums.rows.resize(slices_.size() * static_cast<std::size_t>(rows_));
+  sums.cells.resize(sums.rows.size() * static_cast<std::size_t>(columns_));
+  if (has_colors_) sums.colors.resize(sums.cells.size(), Eigen::Vector3f::Zero());
   for (std::uint32_t i = stem.begin; i < stem.end; ++i) {
-    Point& p = points_[i - stem.begin];
-    Eigen::Vector3d outward;
-    const UnrolledPoint unrolled = prior.frame().unroll(cloud.points[i].cast<double>(), outward);
-    const long number = sliceAt(prior, unrolled.s) - first_slice_;
-    if (number < 0 || number >= static_cast<long>(slices_.size())) continue;
-    const SurfacePrior::Residual residual = prior.residual(unrolled);
-    p.position = {unrolled.theta, unrolled.s};
-    p.outward = outward.cast<float>();
-    p.deviation = static_cast<float>(residual.deviation);
-    p.noise_bias = static_cast<float>(residual.noise_bias);
-    const double weight = prior.robustWeight(residual.deviation);
-    p.on_surface = weight >= kMinRobustWeight;
-    lowest_ = std::min(lowest_, unrolled.s);
-    highest_ = std::max(highest_, unrolled.s);
-    Slice& slice = slices_[static_cast<std::size_t>(number)];
-    slice.hash += hashOf(cloud.points[i], has_colors_ ? cloud.colors[i] : 0U);
-    ++slice.points;
-    const double in_slice = (unrolled.s - sliceBegin(prior, number + first_slice_)) / kSliceLength;
-    const double turn = (unrolled.theta + kPi) / (2.0 * kPi);
-    Patch& patch = patches_[patchIndex(number, in_slice, turn)];
-    const double limited = std::clamp(residual.deviation, -most_deviation, most_deviation);
-    patch.points += 1.0;
-    patch.sum += limited;
-    patch.squares += limited * limited;
-    if (!p.on_surface) continue;
-    ++slice.on_surface;
-
-    const double up = in_slice * rows_;
-    const double round = turn * columns_;
-    const int row = std::clamp(static_cast<int>(up), 0, rows_ - 1);
-    const int column = std::clamp(static_cast<int>(round), 0, columns_ - 1);
-    const std::size_t row_index =
-        static_cast<std::size_t>(number) * static_cast<std::size_t>(rows_) +
-        static_cast<std::size_t>(row);
-    const std::size_t index =
-        row_index * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(column);
-    Sums& sum = sums[index];
-    sum.weight += weight;
-    sum.turn += weight * (round - column - 0.5);
-    sum.rise += weight * (up - row - 0.5);
-    sum.deviation += weight * residual.deviation;
-    if (has_colors_) colors[index] += static_cast<float>(weight) * rgbOf(cloud.colors[i]);
-    ends[row_index].low = std::min(ends[row_index].low, unrolled.s);
-    ends[row_index].high = std::max(ends[row_index].high, unrolled.s);
+    addPoint(cloud, i, prior, points_[i - stem.begin], sums);
   }
-
-  for (std::size_t number = 0; number < slices_.size(); ++number) {
-    const double begin = sliceBegin(prior, first_slice_ + static_cast<long>(number));
-    for (int row = 0; row < rows_; ++row) {
-      const std::size_t row_index =
-          number * static_cast<std::size_t>(rows_) + static_cast<std::size_t>(row);
-      if (ends[row_index].low > ends[row_index].high) continue;
-      row_ends_.push_back(ends[row_index].low);
-      row_ends_.push_back(ends[row_index].high);
-      for (int column = 0; column < columns_; ++column) {
-        const std::size_t index =
-            row_index * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(column);
-        const Sums& sum = sums[index];
-        if (!(sum.weight > 0.0)) continue;
-        Cell mean;
-        mean.position.theta = (column + 0.5 + sum.turn / sum.weight) * turn_a_column - kPi;
-        mean.position.s = begin + (row + 0.5 + sum.rise / sum.weight) * rowHeight();
-        mean.deviation = sum.deviation / sum.weight;
-        mean.weight = sum.weight;
-        if (has_colors_) mean.rgb = colors[index] / static_cast<float>(sum.weight);
-        cells_.push_back(mean);
-      }
-    }
-    slices_[number].cells_end = cells_.size();
-    slices_[number].places_end =
-        slices_[number].on_surface + (number > 0U ? slices_[number - 1U].places_end : 0U);
-  }
-
+  averageCells(prior, sums);
   for (const Patch& patch : patches_) {
     whole_.points += patch.points;
     whole_.sum += patch.sum;
     whole_.squares += patch.squares;
   }
   estimateNoise(prior);
+  sortPlaces(prior);
+}
 
-  places_.resize(slices_.back().places_end);
+void MeasuredSurface::addPoint(const PointCloud& cloud, std::uint32_t i, const SurfacePrior& prior,
+                               Point& p, CellSums& sums) {
+  Eigen::Vector3d outward;
+  const UnrolledPoint unrolled = prior.frame().unroll(cloud.points[i].cast<double>(), outward);
+  const long number = sliceAt(prior, unrolled.s) - first_slice_;
+  if (number < 0 || number >= static_cast<long>(slices_.size())) return;
+  const SurfacePrior::Residual residual = prior.residual(unrolled);
+  p.position = {unrolled.theta, unrolled.s};
+  p.outward = outward.cast<float>();
+  p.deviation = static_cast<float>(residual.deviation);
+  p.noise_bias = static_cast<float>(residual.noise_bias);
+  const double weight = prior.robustWeight(residual.deviation);
+  p.on_surface = weight >= kMinRobustWeight;
+  lowest_ = std::min(lowest_, unrolled.s);
+  highest_ = std::max(highest_, unrolled.s);
+  Slice& slice = slices_[static_cast<std::size_t>(number)];
+  slice.hash += hashOf(cloud.points[i], has_colors_ ? cloud.colors[i] : 0U);
+  ++slice.points;
+  const double in_slice = (unrolled.s - sliceBegin(prior, number + first_slice_)) / kSliceLength;
+  const double turn = (unrolled.theta + kPi) / (2.0 * kPi);
+  Patch& patch = patches_[patchIndex(number, in_slice, turn)];
+  const double most_deviation = prior.meanRadius();
+  const double limited = std::clamp(residual.deviation, -most_deviation, most_deviation);
+  patch.points += 1.0;
+  patch.sum += limited;
+  patch.squares += limited * limited;
+  if (!p.on_surface) return;
+  ++slice.on_surface;
+
+  const double up = in_slice * rows_;
+  const double round = turn * columns_;
+  const int row = std::clamp(static_cast<int>(up), 0, rows_ - 1);
+  const int column = std::clamp(static_cast<int>(round), 0, columns_ - 1);
+  const std::size_t row_index = static_cast<std::size_t>(number) * static_cast<std::size_t>(rows_) +
+                                static_cast<std::size_t>(row);
+  const std::size_t index =
+      row_index * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(column);
+  CellSums::Sum& sum = sums.cells[index];
+  sum.weight += weight;
+  sum.turn += weight * (round - column - 0.5);
+  sum.rise += weight * (up - row - 0.5);
+  sum.deviation += weight * residual.deviation;
+  if (has_colors_) sums.colors[index] += static_cast<float>(weight) * rgbOf(cloud.colors[i]);
+  CellSums::RowEnds& ends = sums.rows[row_index];
+  ends.low = std::min(ends.low, unrolled.s);
+  ends.high = std::max(ends.high, unrolled.s);
+}
+
+void MeasuredSurface::averageCells(const SurfacePrior& prior, const CellSums& sums) {
+  const double turn_a_column = 2.0 * kPi / columns_;
+  for (std::size_t number = 0; number < slices_.size(); ++number) {
+    const double begin = sliceBegin(prior, first_slice_ + static_cast<long>(number));
+    for (int row = 0; row < rows_; ++row) {
+      const std::size_t row_index =
+          number * static_cast<std::size_t>(rows_) + static_cast<std::size_t>(row);
+      const CellSums::RowEnds& ends = sums.rows[row_index];
+      if (ends.low > ends.high) continue;
+      row_ends_.push_back(ends.low);
+      row_ends_.push_back(ends.high);
+      for (int column = 0; column < columns_; ++column) {
+        const std::size_t index =
+            row_index * static_cast<std::size_t>(columns_) + static_cast<std::size_t>(column);
+        const CellSums::Sum& sum = sums.cells[index];
+        if (!(sum.weight > 0.0)) continue;
+        Cell mean;
+        mean.position.theta = (column + 0.5 + sum.turn / sum.weight) * turn_a_column - kPi;
+        mean.position.s = begin + (row + 0.5 + sum.rise / sum.weight) * rowHeight();
+        mean.deviation = sum.deviation / sum.weight;
+        mean.weight = sum.weight;
+        if (has_colors_) mean.rgb = sums.colors[index] / static_cast<float>(sum.weight);
+        cells_.push_back(mean);
+      }
+    }
+    slices_[number].cells_end = cells_.size();
+  }
+}
+
+void MeasuredSurface::sortPlaces(const SurfacePrior& prior) {
   std::vector<std::size_t> next;
-  for (const Slice& slice : slices_) next.push_back(slice.places_end - slice.on_surface);
+  std::size_t end = 0U;
+  for (Slice& slice : slices_) {
+    next.push_back(end);
+    end += slice.on_surface;
+    slice.places_end = end;
+  }
+  places_.resize(end);
   for (const Point& p : points_) {
     if (!p.on_surface) continue;
     const long number = sliceAt(prior, p.position.s) - first_slice_;

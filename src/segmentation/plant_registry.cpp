@@ -387,6 +387,79 @@ void PlantRegistry::giveOthersOlderIdsBack(std::vector<Known>& near, std::uint64
   }
 }
 
+/// What was seen before this pass began is where it was in the map of then: `now` of such plants
+/// becomes where the map of this pass has them.
+/// @return whether it is known for sure by how much the map has moved
+bool PlantRegistry::layOver(const BlockHeader& header, const std::vector<Eigen::Vector2d>& bases,
+                            std::vector<Known>& near, Eigen::Vector2d& shift) {
+  const bool last_holds = lastShiftHolds(header.stamp_ns);
+  std::vector<Eigen::Vector2d> earlier;
+  bool since_known = false;
+  for (Known& known : near) {
+    if (known.stamp_ns >= header.began_ns) continue;
+    if (last_holds && known.stamp_ns >= last_shift_.began_ns) {
+      known.now -= last_shift_.shift;  // where it was before the map moved
+      since_known = true;
+    }
+    earlier.push_back(known.now);
+  }
+  if (earlier.empty()) return false;
+  std::sort(earlier.begin(), earlier.end(), isFartherWest);
+  const auto found = findShift(bases, earlier, header.stamp_ns);
+  const bool sure = found && found->sure;
+  shift = found ? found->shift : expectedShift(header.stamp_ns).shift;
+  if (sure) noteShift(header, shift, since_known);
+  for (Known& known : near) {
+    if (known.stamp_ns < header.began_ns) known.now += shift;
+  }
+  return sure;
+}
+
+/// Nearest pairs first, each plant and each known one once.
+PlantRegistry::Matches PlantRegistry::match(const std::vector<Eigen::Vector2d>& bases,
+                                            const std::vector<Known>& near) const {
+  std::vector<std::tuple<double, std::size_t, std::size_t>> pairs;  // distance, plant, known one
+  for (std::size_t p = 0; p < bases.size(); ++p) {
+    for (std::size_t e = 0; e < near.size(); ++e) {
+      const double distance = (bases[p] - near[e].now).norm();
+      if (distance < match_radius_) pairs.emplace_back(distance, p, e);
+    }
+  }
+  std::sort(pairs.begin(), pairs.end());
+  Matches matches{std::vector<std::size_t>(bases.size(), kNone),
+                  std::vector<bool>(near.size(), false)};
+  for (const auto& [distance, p, e] : pairs) {
+    if (matches.of_plant[p] != kNone || matches.given[e]) continue;
+    matches.of_plant[p] = e;
+    matches.given[e] = true;
+  }
+  return matches;
+}
+
+/// A plant that was not known.
+/// @param sure whether it is known by how much the map has moved since an earlier pass
+std::int32_t PlantRegistry::nameAnew(const Eigen::Vector2d& base, const std::vector<Known>& near,
+                                     const BlockHeader& header, bool sure) {
+  const std::int32_t id = next_id_++;
+  const bool may_be_an_earlier_one = std::any_of(near.begin(), near.end(), [&](const Known& known) {
+    return known.stamp_ns < header.began_ns &&
+           (base - known.base).norm() < kMostShift + match_radius_;
+  });
+  if (!sure && may_be_an_earlier_one) in_doubt_[id] = header.stamp_ns;
+  return id;
+}
+
+/// Whether this block, and no other, reports a plant that was known. It is then taken out, to be
+/// filed anew; as it is, for good, where another block reports it under another id.
+bool PlantRegistry::claim(const Known& known, const Eigen::Vector2d& base,
+                          const std::vector<Known>& near, const BlockHeader& header,
+                          Matches& matches, std::vector<TakenBack>& taken_back) {
+  takeOver(known.id, base, header);
+  if (claimed_.count(known.id) > 0U) return false;
+  takeOut(known);
+  return !isSameAsAnothers(known.id, base, near, matches.given, taken_back);
+}
+
 PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   const std::lock_guard<std::mutex> lock(mutex_);
   const BlockHeader& header = block.header;
@@ -408,81 +481,30 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
   keepClaims(untouched.far, header.index, claims);
   claims_[header.index] = claims;
 
-  // 1. What was seen before this pass began is where it was in the map of then.
-  std::vector<Known> near = findNear(all_bases, kMostShift + match_radius_);
-  const auto seenEarlier = [&](const Known& known) { return known.stamp_ns < header.began_ns; };
-  const bool last_holds = lastShiftHolds(header.stamp_ns);
-  std::vector<Eigen::Vector2d> earlier;
-  bool since_known = false;
-  for (Known& known : near) {
-    if (!seenEarlier(known)) continue;
-    if (last_holds && known.stamp_ns >= last_shift_.began_ns) {
-      known.now -= last_shift_.shift;  // where it was before the map moved
-      since_known = true;
-    }
-    earlier.push_back(known.now);
-  }
-  std::sort(earlier.begin(), earlier.end(), isFartherWest);
+  // 1. Which of the known plants its own are.
   Outcome outcome;
-  const auto shift = findShift(all_bases, earlier, header.stamp_ns);
-  const bool sure = shift && shift->sure;
-  if (!earlier.empty()) outcome.shift = shift ? shift->shift : expectedShift(header.stamp_ns).shift;
-  if (sure) noteShift(header, shift->shift, since_known);
-  for (Known& known : near) {
-    if (seenEarlier(known)) known.now += outcome.shift;
-  }
-
-  // 2. Nearest pairs first, each plant and each entry once.
-  std::vector<std::tuple<double, std::size_t, std::size_t>> pairs;  // distance, plant, entry
-  for (std::size_t p = 0; p < bases.size(); ++p) {
-    for (std::size_t e = 0; e < near.size(); ++e) {
-      const double distance = (bases[p] - near[e].now).norm();
-      if (distance < match_radius_) pairs.emplace_back(distance, p, e);
-    }
-  }
-  std::sort(pairs.begin(), pairs.end());
-  Matches matches{std::vector<std::size_t>(bases.size(), kNone),
-                  std::vector<bool>(near.size(), false)};
-  auto& [entry_of, given] = matches;
-  for (const auto& [distance, p, e] : pairs) {
-    if (entry_of[p] != kNone || given[e]) continue;
-    entry_of[p] = e;
-    given[e] = true;
-  }
-
+  std::vector<Known> near = findNear(all_bases, kMostShift + match_radius_);
+  const bool sure = layOver(header, all_bases, near, outcome.shift);
+  Matches matches = match(bases, near);
   if (sure) {
     giveOlderIdsBack(bases, near, header.began_ns, matches, outcome.taken_back);
     giveOthersOlderIdsBack(near, header.began_ns, matches, outcome.taken_back);
   }
-  const auto mayBeAnEarlierOne = [&](const Eigen::Vector2d& base) {
-    return std::any_of(near.begin(), near.end(), [&](const Known& known) {
-      return seenEarlier(known) && (base - known.base).norm() < kMostShift + match_radius_;
-    });
-  };
 
-  // 3. Filed anew under their newest bases.
+  // 2. Filed anew under their newest bases.
   for (std::size_t p = 0; p < bases.size(); ++p) {
-    std::int32_t id = next_id_;
-    if (entry_of[p] == kNone) {
-      ++next_id_;
-      ++outcome.added;
-      if (!sure && mayBeAnEarlierOne(bases[p])) in_doubt_[id] = header.stamp_ns;
-    } else {
-      const Known& known = near[entry_of[p]];
-      id = known.id;
-      ++outcome.known;
-      claims.seen.insert(id);
-      takeOver(id, bases[p], header);
-      if (claimed_.count(id) > 0U) {
-        plants[p]->owned = false;
-        continue;
-      }
-      takeOut(known);
-      if (isSameAsAnothers(id, bases[p], near, given, outcome.taken_back)) {
+    const bool is_known = matches.of_plant[p] != kNone;
+    ++(is_known ? outcome.known : outcome.added);
+    if (is_known) {
+      const Known& known = near[matches.of_plant[p]];
+      claims.seen.insert(known.id);
+      if (!claim(known, bases[p], near, header, matches, outcome.taken_back)) {
         plants[p]->owned = false;
         continue;
       }
     }
+    const std::int32_t id =
+        is_known ? near[matches.of_plant[p]].id : nameAnew(bases[p], near, header, sure);
     plants[p]->id = id;
     file(id, bases[p], header.stamp_ns);
     claims.ids.push_back(id);
@@ -491,17 +513,17 @@ PlantRegistry::Outcome PlantRegistry::identify(SegmentedBlock& block) {
     if (in_doubt_.count(id) > 0U) ++outcome.provisional;
   }
   for (std::size_t e = 0; e < near.size(); ++e) {
-    if (!given[e]) continue;
+    if (!matches.given[e]) continue;
     untouched.near.erase(std::remove(untouched.near.begin(), untouched.near.end(), near[e].id),
                          untouched.near.end());
   }
   keepClaims(untouched.near, header.index, claims);
   claims_[header.index] = std::move(claims);
 
-  // 4. In the end, plants of its own that are hidden in this pass have moved with the rest.
+  // 3. In the end, plants of its own that are hidden in this pass have moved with the rest.
   if (!sure || !header.final) return outcome;
   for (std::size_t e = 0; e < near.size(); ++e) {
-    if (given[e] || !seenEarlier(near[e])) continue;
+    if (matches.given[e] || near[e].stamp_ns >= header.began_ns) continue;
     if (!header.holds(near[e].now.x(), near[e].now.y())) continue;
     takeOut(near[e]);
     file(near[e].id, near[e].now, header.stamp_ns);

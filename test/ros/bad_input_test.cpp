@@ -170,10 +170,3 @@ TEST_F(BadInput, LeavesTheNodeletsAlive) {
 
 }  // namespace
 }  // namespace field_phenotyping
-
-int main(int argc, char** argv) {
-  ::testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "bad_input_test");
-  ros::NodeHandle keep_alive;
-  return RUN_ALL_TESTS();
-}

@@ -225,10 +225,3 @@ TEST_F(Chain, CanBeUnloadedAndLoadedAgain) {
 
 }  // namespace
 }  // namespace field_phenotyping
-
-int main(int argc, char** argv) {
-  ::testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "chain_test");
-  ros::NodeHandle keep_alive;
-  return RUN_ALL_TESTS();
-}

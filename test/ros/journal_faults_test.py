@@ -8,7 +8,6 @@ Needs to mount small file systems; skips, and says so, where that is not allowed
 """
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
 import tempfile

@@ -66,10 +66,3 @@ TEST(Overload, NewestWinDropsAreCountedAndItRecovers) {
 
 }  // namespace
 }  // namespace field_phenotyping
-
-int main(int argc, char** argv) {
-  ::testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "overload_test");
-  ros::NodeHandle keep_alive;
-  return RUN_ALL_TESTS();
-}

@@ -16,10 +16,3 @@ TEST(RawScans, GiveEveryPlant) {
 
 }  // namespace
 }  // namespace field_phenotyping
-
-int main(int argc, char** argv) {
-  ::testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "raw_scans_test");
-  ros::NodeHandle keep_alive;
-  return RUN_ALL_TESTS();
-}

@@ -75,8 +75,8 @@ class ReplayTest(unittest.TestCase):
             with rosbag.Bag(bag) as whole:
                 parts = [rosbag.Bag(os.path.join(folder, "part_%d.bag" % k), "w") for k in (0, 1)]
                 half = (whole.get_start_time() + whole.get_end_time()) / 2
-                for topic, message, time in whole.read_messages():
-                    parts[time.to_sec() > half].write(topic, message, time)
+                for topic, message, stamp in whole.read_messages():
+                    parts[stamp.to_sec() > half].write(topic, message, stamp)
             for part in parts:
                 part.close()
             code, said, plants = replay(folder, "bag:=" + os.path.join(folder, "part_*.bag"))

@@ -94,10 +94,3 @@ TEST_F(Sensors, WithTransformsLaterThanScansWaitAreToldHowLongToWait) {
 
 }  // namespace
 }  // namespace field_phenotyping
-
-int main(int argc, char** argv) {
-  ::testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "sensors_test");
-  ros::NodeHandle keep_alive;
-  return RUN_ALL_TESTS();
-}

@@ -47,10 +47,3 @@ TEST(TwoPasses, GiveOnePlantEachAndKnowMore) {
 
 }  // namespace
 }  // namespace field_phenotyping
-
-int main(int argc, char** argv) {
-  ::testing::InitGoogleTest(&argc, argv);
-  ros::init(argc, argv, "two_passes_test");
-  ros::NodeHandle keep_alive;
-  return RUN_ALL_TESTS();
-}

@@ -98,6 +98,13 @@ class MeasuredSurface {
   const std::vector<double>& rowEnds() const { return row_ends_; }
 
  private:
+  struct CellSums;
+
+  /// @param i, p number of the point in the cloud, and what it becomes
+  void addPoint(const PointCloud& cloud, std::uint32_t i, const SurfacePrior& prior, Point& p,
+                CellSums& sums);
+  void averageCells(const SurfacePrior& prior, const CellSums& sums);
+  void sortPlaces(const SurfacePrior& prior);
   std::size_t indexOf(long slice) const;
   /// By how much pairs of points in cells of a width [m] that lie side by side differ.
   std::vector<float> differencesWithin(double width, const SurfacePrior& prior) const;

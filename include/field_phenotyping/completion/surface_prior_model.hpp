@@ -128,10 +128,10 @@ FIELD_PHENOTYPING_HD inline double surfaceRadius(const Layout& layout, const dou
 /// @param row kDesignSize numbers
 FIELD_PHENOTYPING_HD inline void fillDesignRow(const Place& place, double mean_radius,
                                                double* row) {
-  for (int i = 0; i < 4; ++i) {
-    row[3 * i] = place.along.basis[i] * place.around.x;
-    row[3 * i + 1] = place.along.basis[i] * place.around.y;
-    row[3 * i + 2] = place.along.basis[i];
+  for (std::size_t i = 0; i < 4U; ++i) {
+    row[3U * i] = place.along.basis[i] * place.around.x;
+    row[3U * i + 1U] = place.along.basis[i] * place.around.y;
+    row[3U * i + 2U] = place.along.basis[i];
   }
   row[kSplineSize] = mean_radius * place.cosineOfTwice();
   row[kSplineSize + 1] = mean_radius * place.sineOfTwice();

@@ -140,6 +140,13 @@ class PlantRegistry {
   bool lastShiftHolds(std::uint64_t stamp_ns) const;
   ExpectedShift expectedShift(std::uint64_t stamp_ns) const;
   void noteShift(const BlockHeader& header, const Eigen::Vector2d& shift, bool since_known);
+  bool layOver(const BlockHeader& header, const std::vector<Eigen::Vector2d>& bases,
+               std::vector<Known>& near, Eigen::Vector2d& shift);
+  Matches match(const std::vector<Eigen::Vector2d>& bases, const std::vector<Known>& near) const;
+  std::int32_t nameAnew(const Eigen::Vector2d& base, const std::vector<Known>& near,
+                        const BlockHeader& header, bool sure);
+  bool claim(const Known& known, const Eigen::Vector2d& base, const std::vector<Known>& near,
+             const BlockHeader& header, Matches& matches, std::vector<TakenBack>& taken_back);
   void file(std::int32_t id, const Eigen::Vector2d& base, std::uint64_t stamp_ns);
   void takeOut(const Known& known);
   void keepOwnPlants(SegmentedBlock& block) const;
