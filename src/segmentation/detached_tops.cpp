@@ -54,13 +54,16 @@ class OwnedPoints {
 struct UpperPart {
   float top = std::numeric_limits<float>::lowest();  // [m]
   float bottom = std::numeric_limits<float>::max();  // [m] of the whole plant
-  float rest = 0.0F;                  // [m] what is lower is no part of a detached top
-  std::vector<std::uint32_t> points;  // downwards, the upper ones of the rest among them
+  std::vector<std::uint32_t> points;                 // downwards
+
+  /// Height [m] as far below the top as this share of the whole plant.
+  float below(float share) const { return top - share * (top - bottom); }
 };
 
+constexpr float kUpper = 0.40F;  // share of a plant; what is lower is no part of a detached top
+
 std::vector<UpperPart> findUpperParts(const OwnedPoints& points, std::size_t plants) {
-  constexpr float kUpper = 0.40F;  // shares of a plant's height
-  constexpr float kShown = 0.45F;
+  constexpr float kWithRest = 0.45F;  // share of a plant: some of the rest, that ways down lead to
   std::vector<UpperPart> parts(plants);
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     const std::int32_t plant = points.ownerOf(i);
@@ -69,17 +72,11 @@ std::vector<UpperPart> findUpperParts(const OwnedPoints& points, std::size_t pla
     part.top = std::max(part.top, points.at(i).z());
     part.bottom = std::min(part.bottom, points.at(i).z());
   }
-  std::vector<float> lowest(plants);
-  for (std::size_t plant = 0; plant < plants; ++plant) {
-    UpperPart& part = parts[plant];
-    part.rest = part.top - kUpper * (part.top - part.bottom);
-    lowest[plant] = part.top - kShown * (part.top - part.bottom);
-  }
   for (std::uint32_t i = 0; i < points.size(); ++i) {
     const std::int32_t plant = points.ownerOf(i);
     if (plant < 0) continue;
-    const auto at = static_cast<std::size_t>(plant);
-    if (points.at(i).z() >= lowest[at]) parts[at].points.push_back(i);
+    UpperPart& part = parts[static_cast<std::size_t>(plant)];
+    if (points.at(i).z() >= part.below(kWithRest)) part.points.push_back(i);
   }
   parallelFor(plants, [&](std::size_t plant) {
     std::vector<std::uint32_t>& own = parts[plant].points;
@@ -107,6 +104,7 @@ WayDown findWayDown(const OwnedPoints& points, const UpperPart& part) {
   const std::vector<std::uint32_t>& own = part.points;
   WayDown way;
   if (own.empty()) return way;
+  const float rest = part.below(kUpper);
   std::vector<bool> reached(own.size(), false);
   reached[0] = true;
   std::vector<std::size_t> front{0U};
@@ -119,21 +117,23 @@ WayDown findWayDown(const OwnedPoints& points, const UpperPart& part) {
       if (!reached[to] && (there - place).squaredNorm() <= way.gap * way.gap) {
         reached[to] = true;
         front.push_back(to);
-        has_arrived = has_arrived || there.z() < part.rest;
+        has_arrived = has_arrived || there.z() < rest;
       }
       return true;
     };
     for (std::size_t to = from; to > 0U && look(to - 1U);) --to;
     for (std::size_t to = from + 1U; to < own.size() && look(to);) ++to;
   };
-  std::size_t before = 0U;
-  for (way.gap = kFirstStep; way.gap < kLongestStep && !has_arrived && front.size() <= kMost;) {
-    before = front.size();
-    for (std::size_t next = 0U; next < front.size(); ++next) stepFrom(front[next]);
-    if (!has_arrived && front.size() <= kMost) way.gap *= kLonger;
+  for (way.gap = kFirstStep; way.gap < kLongestStep; way.gap *= kLonger) {
+    const std::size_t before = front.size();
+    const auto isDone = [&] { return has_arrived || front.size() > kMost; };
+    for (std::size_t next = 0U; next < front.size() && !isDone(); ++next) stepFrom(front[next]);
+    if (isDone()) {
+      front.resize(before);
+      break;
+    }
   }
-  if (!has_arrived && front.size() <= kMost) before = front.size();
-  for (std::size_t k = 0; k < before; ++k) way.above.push_back(own[front[k]]);
+  for (const std::size_t k : front) way.above.push_back(own[k]);
   return way;
 }
 
@@ -191,11 +191,11 @@ std::vector<DetachedTop> findDetachedTops(const OwnedPoints& points, const Neigh
                                           UpperPart part, WayDown way, float usual) {
   constexpr float kLeastGap = 0.02F;  // [m]
   constexpr float kTimes = 1.5F;      // the usual gap
-  const float least_gap = std::max(kLeastGap, kTimes * usual);
   constexpr std::size_t kMostTops = 4U;
   constexpr std::size_t kMostPoints = 400U;  // of a branch or the end of a leaf
   // One point in so many may be of the stem, which has followed the neighbour's.
   constexpr std::size_t kFewStem = 10U;
+  const float least_gap = std::max(kLeastGap, kTimes * usual);
   std::vector<DetachedTop> tops;
   while (!way.above.empty() && way.gap >= least_gap && way.above.size() <= kMostPoints) {
     std::size_t stem = 0U;
@@ -228,7 +228,7 @@ class Chance {
   /// @param share_near of the plants without a detached top whose highest points have another plant
   /// as near as those have
   Chance(const std::vector<std::vector<DetachedTop>>& detached, float share_near)
-      : odds_(share_near / std::max(1.0F - share_near, kLeast)) {
+      : odds_(share_near / std::max(1.0F - share_near, kLeastAlone)) {
     for (const std::vector<DetachedTop>& tops : detached) {
       for (const DetachedTop& top : tops) (top.to >= 0 ? near_ : alone_).push_back(top.gap);
     }
@@ -237,12 +237,13 @@ class Chance {
   /// Share of those above gaps as long as this or longer. Tops with no other plant near are their
   /// own plant's, and others would be beside them as often as beside any top.
   float shareAbove(float gap) const {
+    constexpr float kLeast = 0.1F;  // in stands that are well seen
     return std::max(kLeast,
                     odds_ * countAbove(alone_, gap) / std::max(countAbove(near_, gap), 1.0F));
   }
 
  private:
-  static constexpr float kLeast = 0.1F;
+  static constexpr float kLeastAlone = 0.1F;  // of all tops
 
   static float countAbove(const std::vector<float>& gaps, float gap) {
     return static_cast<float>(
