@@ -17,6 +17,7 @@
 #include <utility>
 
 #include "block_serialization.hpp"
+#include "transform_listener.hpp"
 
 namespace field_phenotyping {
 namespace {
@@ -159,6 +160,11 @@ void BagPlayer::play() {
 }
 
 void BagPlayer::playOnce(std::size_t loop) {
+  if (goesBack(timeIn(loop, scans_->getBeginTime()), now_)) {
+    // While tf holds what the last ones need.
+    waitForRoom(2U, std::numeric_limits<std::size_t>::max());
+    kSettle.sleep();
+  }
   next_transform_ = transforms_->begin();
   for (const rosbag::MessageInstance& instance : *scans_) {
     sensor_msgs::PointCloud2Ptr scan = instance.instantiate<sensor_msgs::PointCloud2>();

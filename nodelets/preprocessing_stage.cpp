@@ -19,9 +19,6 @@
 namespace field_phenotyping {
 namespace {
 
-// A stamp that lies this far before the newest one means that time was set back (a bag that starts
-// again), not that scans changed places on the way.
-const ros::Duration kTimeJump(1.0);
 const ros::Duration kTfMemory(60.0);
 // Scans and transforms that lie this far apart are not late, they go by different clocks [s].
 constexpr double kOtherClock = 30.0;
@@ -71,7 +68,9 @@ PreprocessingStage::PreprocessingStage(const ros::NodeHandle& nh, const ros::Nod
       queue_size_(static_cast<std::size_t>(std::max(pnh_.param("queue_size", 50), 1))),
       parameters_(pnh_, health_, ownParameterNames(), [this] { parameters_changed_ = true; }),
       tf_buffer_(kTfMemory),
-      tf_listener_(tf_buffer_, nh),
+      tf_listener_(
+          tf_buffer_, nh,
+          [this](const std::string& frame, double seconds) { noteTfTimeJump(frame, seconds); }),
       output_(pnh_.advertise<Block>("output", kChainQueue)),
       gate_(pnh_, output_),
       device_(chooseDevice(pnh_, health_)),
@@ -234,8 +233,13 @@ std::optional<Eigen::Isometry3d> PreprocessingStage::findTransform(const Waiting
                            "': when it was taken, and so from where, is not known");
   }
   std::string reason;  // tf2 adds to it
-  if (frame.empty()) reason = "its frame_id is empty";
-  if (!frame.empty() && tf_buffer_.canTransform(target_frame_, frame, header.stamp, &reason)) {
+  const std::uint64_t tf_jumps = tf_jumps_;
+  if (frame.empty()) {
+    reason = "its frame_id is empty";
+  } else if (isAheadOfTf(header)) {
+    reason = "scans have gone back in time, and transforms have not";
+  } else if (tf_buffer_.canTransform(target_frame_, frame, header.stamp, &reason)) {
+    tf_jumps_then_ = tf_jumps;
     return tf2::transformToEigen(tf_buffer_.lookupTransform(target_frame_, frame, header.stamp));
   }
   try_again = ros::SteadyTime::now() - waiting.arrival < tf_timeout_ && !frame.empty();
@@ -308,8 +312,24 @@ std::optional<double> PreprocessingStage::aheadOfTf(const std_msgs::Header& head
   return header.stamp.toSec() - newest.toSec();
 }
 
-/// Scans by one clock and transforms by another never meet; nor do those of a bag that starts again
-/// while tf2 still holds what came after.
+/// Whether time has gone back for scans and not for transforms: those that are known are of the
+/// time before, and may be of another map.
+bool PreprocessingStage::isAheadOfTf(const std_msgs::Header& header) const {
+  const bool jumps = !header.stamp.isZero() && goesBack(header.stamp, newest_stamp_);
+  return jumps && tf_jumps_ == tf_jumps_then_ && aheadOfTf(header).value_or(0.0) < -kTimeJump;
+}
+
+void PreprocessingStage::noteTfTimeJump(const std::string& frame, double seconds) {
+  ++tf_jumps_;
+  health_.count("time jumps of tf");
+  std::ostringstream text;
+  text << "transforms of '" << frame << "' went back by " << seconds
+       << " s (a bag that starts again?): older ones are forgotten. If that goes on, two nodes "
+       << "publish '" << frame << "' by different clocks: let one do so";
+  health_.trouble("tf time jump", text.str());
+}
+
+/// Scans by one clock and transforms by another never meet.
 /// @return whether that is what is wrong
 bool PreprocessingStage::nameOtherClock(const std_msgs::Header& header) {
   const std::optional<double> ahead = aheadOfTf(header);
@@ -325,11 +345,9 @@ bool PreprocessingStage::nameOtherClock(const std_msgs::Header& header) {
       << "'. Scans and transforms go by different clocks: set "
       << "use_sim_time for all nodes and play the bag with --clock, or for none, and let one clock "
       << "stamp both";
-  if (*ahead < 0.0 && header.stamp + kTimeJump < newest_stamp_) {
-    // tf2 would refuse what is older than its memory.
-    tf_buffer_.clear();
-    text << ". Or time went back, as when a bag starts again: older transforms are forgotten, and "
-         << "scans are placed again as soon as newer ones come";
+  if (*ahead < 0.0 && goesBack(header.stamp, newest_stamp_)) {
+    text << ". Or a bag was started again and who publishes transforms has not noticed: start the "
+         << "SLAM again";
   }
   health_.trouble("another clock", text.str());
   return true;
@@ -386,7 +404,7 @@ void PreprocessingStage::reportScan(const sensor_msgs::PointCloud2& message, con
 
 void PreprocessingStage::noticeTimeJump(const ros::Time& stamp) {
   if (stamp.isZero()) return;
-  if (stamp + kTimeJump < newest_stamp_) {
+  if (goesBack(stamp, newest_stamp_)) {
     health_.count("time jumps");
     health_.trouble("time jump", "time went back by " +
                                      std::to_string((newest_stamp_ - stamp).toSec()) +

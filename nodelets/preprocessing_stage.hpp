@@ -4,8 +4,7 @@
 #include <ros/ros.h>
 #include <sensor_msgs/PointCloud2.h>
 #include <std_srvs/Trigger.h>
-#include <tf2_ros/buffer.h>
-#include <tf2_ros/transform_listener.h>
+#include <tf2/buffer_core.h>
 
 #include <Eigen/Geometry>
 #include <atomic>
@@ -24,6 +23,7 @@
 #include "field_phenotyping/preprocessing/preprocessor.hpp"
 #include "parameter_server.hpp"
 #include "stage_health.hpp"
+#include "transform_listener.hpp"
 
 namespace field_phenotyping {
 
@@ -31,11 +31,12 @@ namespace field_phenotyping {
 ///
 /// A scan in `~target_frame` is taken as registered: no tf, and no cropping by range, for nobody
 /// knows where its sensor was. Any other scan waits for its transform at its own stamp, up to
-/// `~tf_timeout`; without one it is dropped, never placed at a guess. Work is done outside the
-/// callbacks: scans are placed on one thread, and what is due is taken out of the map there; blocks
-/// are made of it on another, so that no scan waits for a block, and drafts on one more, so that
-/// none waits for larger blocks. Where more scans come than can be placed the oldest are dropped
-/// and blocks go out all the same.
+/// `~tf_timeout`; without one it is dropped, never placed at a guess. When time goes back, scans
+/// and transforms of before and after never meet. Work is done outside the callbacks: scans are
+/// placed on one thread, and what is due is taken out of the map there; blocks are made of it on
+/// another, so that no scan waits for a block, and drafts on one more, so that none waits for
+/// larger blocks. Where more scans come than can be placed the oldest are dropped and blocks go out
+/// all the same.
 class PreprocessingStage {
  public:
   PreprocessingStage(const ros::NodeHandle& nh, const ros::NodeHandle& pnh,
@@ -72,6 +73,8 @@ class PreprocessingStage {
   std::string cureOfMissingTransform(const std_msgs::Header& header) const;
   std::optional<double> aheadOfTf(const std_msgs::Header& header) const;
   bool nameOtherClock(const std_msgs::Header& header);
+  bool isAheadOfTf(const std_msgs::Header& header) const;
+  void noteTfTimeJump(const std::string& frame, double seconds);
   void place(const sensor_msgs::PointCloud2ConstPtr& message,
              const Eigen::Isometry3d& T_target_sensor);
   Scan scanOf(const sensor_msgs::PointCloud2& message) const;
@@ -107,8 +110,9 @@ class PreprocessingStage {
   const std::size_t queue_size_;
   std::atomic<bool> parameters_changed_{false};
   ParameterServer<PreprocessingConfig, PreprocessingParameters> parameters_;
-  tf2_ros::Buffer tf_buffer_;
-  tf2_ros::TransformListener tf_listener_;
+  tf2::BufferCore tf_buffer_;
+  std::atomic<std::uint64_t> tf_jumps_{0U};  // how often time went back for transforms
+  TransformListener tf_listener_;
   ros::Publisher output_;
   ListenerGate gate_;
 
@@ -118,6 +122,7 @@ class PreprocessingStage {
   Preprocessor preprocessor_;
   bool registered_ = false;  // the last scan needed no transform
   ros::Time newest_stamp_;
+  std::uint64_t tf_jumps_then_ = 0U;            // when the last scan was placed
   ros::Time last_fix_;                          // until when the sensor's path was looked at
   std::size_t scans_added_ = 0U;                // since the map was empty
   sensor_msgs::PointCloud2ConstPtr only_scan_;  // kept while it is the only one, for tuning

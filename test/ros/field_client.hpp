@@ -65,7 +65,8 @@ class FieldClient {
   void driveBy(int count, const Sensor& sensor,
                const Eigen::Vector3d& shift = Eigen::Vector3d::Zero(), bool back = false) {
     // Without a pause where one drive follows another, however slow the machine.
-    if (next_stamp_ + ros::Duration(5.0) < ros::Time::now()) next_stamp_ = ros::Time::now();
+    const ros::Time today = ros::Time::now() - set_back_;
+    if (next_stamp_ + ros::Duration(5.0) < today) next_stamp_ = today;
     const auto poseAt = [&](double seconds) {
       const double k = std::min(std::max(seconds * sensor.rate, 0.0), static_cast<double>(count));
       return sensorPose(back ? count - k : k, count);
@@ -94,6 +95,12 @@ class FieldClient {
       spinFor(0.005);
     }
     next_stamp_ += ros::Duration(lasts);
+  }
+
+  /// From now on drives are as much earlier.
+  void setTimeBack(double seconds) {
+    set_back_ += ros::Duration(seconds);
+    next_stamp_ -= ros::Duration(seconds);
   }
 
   void broadcast(const Eigen::Isometry3d& T_map_lidar, const ros::Time& stamp,
@@ -211,6 +218,7 @@ class FieldClient {
   ros::NodeHandle nh_;
   SyntheticField field_;
   ros::Time next_stamp_;
+  ros::Duration set_back_;
   std::map<BlockIndex, std::vector<Phenotype>> plants_of_;
   std::map<std::string, std::string> troubles_;  // all that was said, by status name
   std::map<std::string, diagnostic_msgs::DiagnosticStatus> newest_;

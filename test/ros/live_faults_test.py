@@ -189,19 +189,30 @@ class LiveFaultsTest(unittest.TestCase):
         log = self.start_chain(environment)
         self.play(environment, "--clock", "--loop")
         self.assertTrue(wait_until(lambda: said(log).count("time went back") >= 3, 60.0), said(log))
-        self.assertTrue(self.all_are_in(self.journal), said(log))
-        ids = self.ids_by_place(self.journal)
-        self.assertTrue(all(len(names) == 1 for names in ids.values()), dict(ids))
-        with open(os.path.join(self.output, "plants.csv")) as table:
-            plants = list(csv.DictReader(table))
-        self.assertEqual(len(plants), len(self.truth), said(log))
+        self.all_have_one_id(log)
+        # No scan was placed where another time had the sensor, however briefly that was believed.
+        for plant_id, x, y in reported(self.journal):
+            off = min(math.hypot(x - t[0], y - t[1]) for t in self.truth)
+            self.assertLess(off, 0.04, (plant_id, x, y, said(log)))
+
         # It lasts 3 s and begins again before any block is left for long enough.
-        self.assertEqual([plant["final"] for plant in plants], ["1"] * len(plants))
+        def is_final():
+            plants = plants_in(os.path.join(self.output, "plants.csv"))
+            return [plant["final"] for plant in plants] == ["1"] * len(self.truth)
+
+        self.assertTrue(wait_until(is_final, 60.0), said(log))
 
 
 def said(log):
     with open(log) as file:
         return file.read()
+
+
+def plants_in(table):
+    if not os.path.exists(table):
+        return []
+    with open(table) as file:
+        return list(csv.DictReader(file))
 
 
 def identity_of(journal):

@@ -141,6 +141,16 @@ class ReplayTest(unittest.TestCase):
                     math.hypot(float(p["x"]) - x - 3.6 * loop, float(p["y"]) - y) for p in plants]
                 self.assertLess(min(distances), 0.04)
 
+    def test_played_again_at_the_same_time_each_scan_is_placed(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag, truth = make_bag(folder)
+            code, said, plants = replay(folder, "bag:=" + bag, "loops:=3")
+        self.assertEqual(code, 0, said)
+        self.assertIn("time went back", said)
+        self.assertIn("transforms of 'lidar' went back", said)
+        self.assertNotIn("dropped", said)
+        self.assertEqual(len(plants), len(truth), said)
+
     def test_tiles_that_adjoin_are_worked_as_one(self):
         with tempfile.TemporaryDirectory() as folder:
             bag, truth = make_bag(folder)

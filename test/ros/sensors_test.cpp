@@ -79,6 +79,22 @@ TEST_F(Sensors, WithTheFieldsOfUsualDrivers) {
   }
 }
 
+// As of a bag that starts again, whose scans a SLAM places in a new map: what it said before of
+// these times must not be believed.
+TEST_F(Sensors, WhoseTimeIsSetBackArePlacedByWhatIsSaidFromThenOn) {
+  const double dropped_before = dropped();
+  const Eigen::Vector3d shift(0.0, 40.0, 0.0);
+  client_->forgetPlants();
+  client_->setTimeBack(15.0);
+  client_->driveBy(30, shift, back_);
+  back_ = !back_;
+  EXPECT_TRUE(client_->waitFor([] { return client_->foundEveryPlant(); }, 40.0));
+  client_->expectTruth(shift);
+  client_->spinFor(1.5);
+  EXPECT_EQ(dropped(), dropped_before);
+  EXPECT_EQ(client_->valueOf("preprocessing", "time jumps of tf"), 1.0);
+}
+
 TEST_F(Sensors, WithTransformsLaterThanScansWaitAreToldHowLongToWait) {
   Sensor sensor;
   sensor.tf_late = 1.6;
