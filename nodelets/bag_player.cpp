@@ -96,27 +96,36 @@ void BagPlayer::run() {
 
 void BagPlayer::open() {
   bags_ = std::make_unique<BagFiles>(path_);
-  const auto isPoints = [this](const rosbag::ConnectionInfo* connection) {
-    return withSlash(connection->topic) == points_topic_ &&
-           connection->datatype == "sensor_msgs/PointCloud2";
+  const auto isCloud = [](const rosbag::ConnectionInfo* connection) {
+    return connection->datatype == "sensor_msgs/PointCloud2";
+  };
+  const auto isPoints = [&](const rosbag::ConnectionInfo* connection) {
+    return isCloud(connection) && withSlash(connection->topic) == points_topic_;
   };
   const auto isTransform = [](const rosbag::ConnectionInfo* connection) {
     return withSlash(connection->topic) == "/tf";
   };
   scans_ = bags_->view(isPoints);
   transforms_ = bags_->view(isTransform);
-  if (scans_->size() > 0U) return;
-  std::ostringstream text;
-  text << "the bag '" << path_ << "' has no sensor_msgs/PointCloud2 on " << points_topic_
-       << ", only:";
-  const std::unique_ptr<rosbag::View> all = bags_->view();
   std::set<std::string> topics;
+  std::set<std::string> other_clouds;
+  const std::unique_ptr<rosbag::View> all = bags_->view();
   for (const rosbag::ConnectionInfo* connection : all->getConnections()) {
     topics.insert(" " + connection->topic + " (" + connection->datatype + ")");
+    if (isCloud(connection) && !isPoints(connection)) other_clouds.insert(" " + connection->topic);
   }
-  for (const std::string& topic : topics) text << topic;
-  text << ". Say which one: points_topic:=TOPIC";
-  throw std::runtime_error(text.str());
+  std::ostringstream text;
+  if (scans_->size() == 0U) {
+    text << "the bag '" << path_ << "' has no sensor_msgs/PointCloud2 on " << points_topic_
+         << ", only:";
+    for (const std::string& topic : topics) text << topic;
+    text << ". Say which one: points_topic:=TOPIC";
+    throw std::runtime_error(text.str());
+  }
+  if (other_clouds.empty()) return;
+  text << "only " << points_topic_ << " is played; the bag has other clouds too:";
+  for (const std::string& topic : other_clouds) text << topic;
+  ROS_INFO_STREAM("[" << name_ << "] " << text.str() << ". points_topic:=TOPIC plays another");
 }
 
 void BagPlayer::waitForStages() {

@@ -272,7 +272,10 @@ std::string PreprocessingStage::cureOfMissingTransform(const std_msgs::Header& h
            nearestName(name, known) + "' meant? " + cure;
   };
   if (unknown(frame)) {
-    return nameFrames(frame, "Let the driver stamp scans with that frame, or publish its tf");
+    return nameFrames(
+        frame,
+        "Let the driver stamp scans with that frame, or publish its tf. Of bags that a "
+        "drive was split into the first alone may hold /tf_static: play all of them");
   }
   if (unknown(target_frame_)) {
     return "tf knows no '" + target_frame_ + "', only " + listed(known) +
@@ -344,7 +347,7 @@ bool PreprocessingStage::nameOtherClock(const std_msgs::Header& header) {
       << withoutSlash(header.frame_id) << "' to '" << target_frame_
       << "'. Scans and transforms go by different clocks: set "
       << "use_sim_time for all nodes and play the bag with --clock, or for none, and let one clock "
-      << "stamp both";
+      << "stamp both. check_bag tells whether a bag was recorded so";
   if (*ahead < 0.0 && goesBack(header.stamp, newest_stamp_)) {
     text << ". Or a bag was started again and who publishes transforms has not noticed: start the "
          << "SLAM again";

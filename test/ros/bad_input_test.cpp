@@ -85,6 +85,7 @@ TEST_F(BadInput, InAnUnknownFrameIsNamed) {
 TEST_F(BadInput, InAMisspeltFrameIsNamedWithTheFramesThatThereAre) {
   client_->broadcast(Eigen::Isometry3d::Identity(), ros::Time::now());
   expectTrouble(goodCloud("lidra"), "tf knows no 'lidra', only 'lidar', 'map'; is 'lidar' meant?");
+  EXPECT_TRUE(client_->heardOf("preprocessing", "the first alone may hold /tf_static"));
 }
 
 TEST_F(BadInput, WithABrokenStampIsNamed) {
@@ -122,6 +123,7 @@ TEST_F(BadInput, ByAnotherClockThanTheTransformsIsNamed) {
   auto cloud = goodCloud("lidar");
   cloud.header.stamp = ros::Time(1600000000.0);
   expectTrouble(cloud, "Scans and transforms go by different clocks: set use_sim_time");
+  EXPECT_TRUE(client_->heardOf("preprocessing", "check_bag tells whether a bag was recorded so"));
 }
 
 // Without /clock, too; tf2 by itself refuses transforms that are older than its memory.

@@ -14,7 +14,9 @@ import time
 import unittest
 
 import rosbag
+import rospy
 from PIL import Image
+from sensor_msgs.msg import PointCloud2
 
 
 def free_port():
@@ -114,6 +116,15 @@ class ReplayTest(unittest.TestCase):
             self.assertEqual(plants, [])
             code, said, plants = replay(folder, "bag:=" + os.path.join(folder, "none.bag"))
             self.assertIn("none.bag' cannot be read", said)
+
+    def test_other_clouds_of_a_bag_are_named(self):
+        with tempfile.TemporaryDirectory() as folder:
+            bag, truth = make_bag(folder)
+            with rosbag.Bag(bag, "a") as more:
+                more.write("/rear/points", PointCloud2(), rospy.Time(1600000001))
+            code, said, plants = replay(folder, "bag:=" + bag)
+        self.assertIn("only /points is played; the bag has other clouds too: /rear/points", said)
+        self.assertEqual(len(plants), len(truth), said)
 
     def test_no_scan_is_dropped_though_there_are_more_than_the_queue_holds(self):
         with tempfile.TemporaryDirectory() as folder:
