@@ -15,8 +15,10 @@ target_link_libraries(field_phenotyping_core
   PRIVATE $<BUILD_INTERFACE:field_phenotyping_warnings>)
 # Square roots and roundings inline: nobody asks for errno or floating-point exceptions.
 # Nor does an addition take part in a multiplication unasked: results are the GPU's bit for bit.
+# Nobody puts functions in place of the library's own: those are inlined within it, though it may be
+# a shared one, and work with wider vectors where withWideVectors() calls them.
 target_compile_options(field_phenotyping_core PRIVATE
-  $<$<COMPILE_LANGUAGE:CXX>:-fno-math-errno;-fno-trapping-math;-ffp-contract=off>)
+  $<$<COMPILE_LANGUAGE:CXX>:-fno-math-errno;-fno-trapping-math;-ffp-contract=off;-fno-semantic-interposition>)
 # They work with vectors wider than every processor's (common/wide_lanes.hpp says why they may).
 set_source_files_properties(${PROJECT_SOURCE_DIR}/src/segmentation/leaf_bases.cpp
   ${PROJECT_SOURCE_DIR}/src/segmentation/local_shape.cpp PROPERTIES COMPILE_OPTIONS -Wno-psabi)

@@ -107,7 +107,9 @@ void VoxelTile::fill(const std::vector<Eigen::Vector3f>& points, float voxel_siz
       const std::uint32_t voxel = slots.find(keys[k], hashes[k], keys_);
       if (voxel == voxels_.size()) {
         keys_.push_back(keys[k]);
-        voxels_.push_back(VoxelMean::of(placeOf(points[begin + k])));
+        // Put together where it stays: from the stack it would be read while it is still written.
+        VoxelMean& mean = voxels_.emplace_back();
+        mean = VoxelMean::of(placeOf(points[begin + k]));
       } else {
         voxels_[voxel].add(placeOf(points[begin + k]));
       }

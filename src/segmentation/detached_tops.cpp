@@ -7,9 +7,11 @@
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <numeric>
 #include <utility>
 #include <vector>
 
+#include "field_phenotyping/common/lanes.hpp"
 #include "field_phenotyping/common/median.hpp"
 #include "field_phenotyping/common/parallel.hpp"
 
@@ -95,6 +97,67 @@ struct WayDown {
   std::vector<std::uint32_t> above;  // the points before that step, the highest first
 };
 
+/// Places that the way down has not come to yet, from high to low, coordinate by coordinate: each
+/// step looks at many of them.
+class OpenPlaces {
+ public:
+  /// All but the first.
+  OpenPlaces(const OwnedPoints& points, const std::vector<std::uint32_t>& own)
+      : ranks_(own.size() - 1U) {
+    std::iota(ranks_.begin(), ranks_.end(), std::size_t{1});
+    for (std::vector<float>* values : {&x_, &y_, &z_}) values->resize(own.size() + kLanes);
+    for (std::size_t k = 0; k < ranks_.size(); ++k) {
+      const Eigen::Vector3f& place = points.at(own[ranks_[k]]);
+      x_[k] = place.x();
+      y_[k] = place.y();
+      z_[k] = place.z();
+    }
+  }
+
+  /// Takes out those within a gap [m] and calls visit(rank, height) for each.
+  template <class Visit>
+  void takeWithin(const Eigen::Vector3f& from, float gap, Visit&& visit) {
+    const auto end = z_.begin() + static_cast<std::ptrdiff_t>(ranks_.size());
+    const auto low =
+        std::partition_point(z_.begin(), end, [&](float z) { return !(from.z() - z > gap); });
+    const auto high =
+        std::partition_point(z_.begin(), low, [&](float z) { return z - from.z() > gap; });
+    const auto last = static_cast<std::size_t>(low - z_.begin());
+    for (auto k = static_cast<std::size_t>(high - z_.begin()); k < last; k += kLanes) {
+      const Floats x = loadFloats(&x_[k]) - from.x();
+      const Floats y = loadFloats(&y_[k]) - from.y();
+      const Floats z = loadFloats(&z_[k]) - from.z();
+      const Integers near = lanesBefore(last - k) & (x * x + (y * y + z * z) <= gap * gap);
+      if (!anyOf(near)) continue;
+      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+        if (near[lane] == 0) continue;
+        x_[k + lane] = kTaken;
+        visit(ranks_[k + lane], z_[k + lane]);
+      }
+    }
+  }
+
+  /// Forgets those that have been taken.
+  void close() {
+    std::size_t kept = 0U;
+    for (std::size_t k = 0; k < ranks_.size(); ++k) {
+      if (x_[k] == kTaken) continue;
+      x_[kept] = x_[k];
+      y_[kept] = y_[k];
+      z_[kept] = z_[k];
+      ranks_[kept] = ranks_[k];
+      ++kept;
+    }
+    ranks_.resize(kept);
+  }
+
+ private:
+  static constexpr float kTaken = std::numeric_limits<float>::infinity();  // far from any
+
+  std::vector<float> x_, y_, z_;  // padded so that the last lanes can be loaded
+  std::vector<std::size_t> ranks_;
+};
+
 /// Goes down in steps that get longer until they lead to the rest.
 WayDown findWayDown(const OwnedPoints& points, const UpperPart& part) {
   constexpr float kFirstStep = 0.012F;  // [m]
@@ -105,33 +168,24 @@ WayDown findWayDown(const OwnedPoints& points, const UpperPart& part) {
   WayDown way;
   if (own.empty()) return way;
   const float rest = part.below(kUpper);
-  std::vector<bool> reached(own.size(), false);
-  reached[0] = true;
+  OpenPlaces open(points, own);
   std::vector<std::size_t> front{0U};
   bool has_arrived = false;
-  const auto stepFrom = [&](std::size_t from) {
-    const Eigen::Vector3f& place = points.at(own[from]);
-    const auto look = [&](std::size_t to) {
-      const Eigen::Vector3f& there = points.at(own[to]);
-      if (std::fabs(there.z() - place.z()) > way.gap) return false;
-      if (!reached[to] && (there - place).squaredNorm() <= way.gap * way.gap) {
-        reached[to] = true;
-        front.push_back(to);
-        has_arrived = has_arrived || there.z() < rest;
-      }
-      return true;
-    };
-    for (std::size_t to = from; to > 0U && look(to - 1U);) --to;
-    for (std::size_t to = from + 1U; to < own.size() && look(to);) ++to;
+  const auto reach = [&](std::size_t rank, float height) {
+    front.push_back(rank);
+    has_arrived = has_arrived || height < rest;
   };
   for (way.gap = kFirstStep; way.gap < kLongestStep; way.gap *= kLonger) {
     const std::size_t before = front.size();
     const auto isDone = [&] { return has_arrived || front.size() > kMost; };
-    for (std::size_t next = 0U; next < front.size() && !isDone(); ++next) stepFrom(front[next]);
+    for (std::size_t next = 0U; next < front.size() && !isDone(); ++next) {
+      open.takeWithin(points.at(own[front[next]]), way.gap, reach);
+    }
     if (isDone()) {
       front.resize(before);
       break;
     }
+    open.close();
   }
   for (const std::size_t k : front) way.above.push_back(own[k]);
   return way;
