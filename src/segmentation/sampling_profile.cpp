@@ -14,11 +14,15 @@ constexpr double kBand = 0.10;  // [m]
 }  // namespace
 
 SamplingProfile::SamplingProfile(const std::vector<float>& heights,
-                                 const std::vector<LocalShape>& shapes) {
+                                 const std::vector<LocalShape>& shapes, double canopy) {
   constexpr float kSoil = 0.05F;        // [m]
   constexpr float kHighest = 10.0F;     // [m] of a crop
   constexpr double kLeastPoints = 10U;  // of a band that tells
   constexpr double kLeast = 0.02;
+  // Of the canopy's height, in tasselling stands. Where leaves hang, as those of ripe plants, stems
+  // are seen as well as they are, and what is lost by it is little.
+  constexpr double kHidden = 0.12;
+  hidden_ = kHidden * canopy;
   // Whole numbers, whose sums do not depend on their order.
   struct Band {
     double points = 0.0;

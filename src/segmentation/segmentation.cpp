@@ -213,9 +213,9 @@ SegmentedBlock segmentBlock(const Block& block, const SegmentationParameters& wa
   if (parameters.seed_radius != wanted.seed_radius) grid = NeighborGrid(points, kCell * radius);
   const std::vector<LocalShape> shapes = computeLocalShapes(points, grid, radius, device);
   const std::vector<float> heights = block.ground.heightsAbove(points);
-  const SamplingProfile sampling(heights, shapes);
-  const GrowthScene scene{points, shapes, grid};
   const float plant_height = canopyHeight(heights);
+  const SamplingProfile sampling(heights, shapes, static_cast<double>(plant_height));
+  const GrowthScene scene{points, shapes, grid};
   const StemSelection selection(block, grid, parameters);
 
   // Step 1: start points, and the stems that grow from them; where those are, and where they end.

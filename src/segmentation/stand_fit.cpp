@@ -51,7 +51,7 @@ void carryOn(const GrowthScene& scene, const SamplingProfile& sampling, float ma
   constexpr int kMostSteps = 6;
   constexpr double kSparse = 0.35;  // of the best sampling: where an end could be overlooked
   const auto samplingAtEnd = [&](const StemAxis& axis) {
-    return sampling.at(static_cast<double>(axis.length()));
+    return sampling.ofStems(static_cast<double>(axis.length()));
   };
   // Straight on, which takes no fit, most stems show where they end. Where hardly one of a stand
   // does so beyond what is seen well, only those few are followed.

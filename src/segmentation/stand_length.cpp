@@ -40,7 +40,7 @@ double deficitDensity(const StandLength& stand, double shown) {
 
 /// Share of the stems that stop short, by how densely what is as high as their ends is sampled.
 double shortShare(double sampling) {
-  constexpr double kClear = 0.3;  // sampled well enough to see every end
+  constexpr double kClear = 0.18;  // sampled well enough to see every end
   constexpr double kMost = 0.5;
   return kMost * std::max(0.0, 1.0 - sampling / kClear);
 }
@@ -143,7 +143,7 @@ std::vector<StandLength> standLengths(const std::vector<double>& shown,
   }
   constexpr double kLengthSpread = 0.06;  // of the length, that plants of one stand differ by
   constexpr double kShareSpread = 0.03;   // of the share, where the heights say much
-  const double short_share = shown.empty() ? 0.0 : shortShare(sampling.at(medianOf(shown)));
+  const double short_share = shown.empty() ? 0.0 : shortShare(sampling.ofStems(medianOf(shown)));
   const StandFit alike = fitStandLength(shown, kLengthSpread, short_share);
   const StandFit in_proportion = fitStandLength(shares, kShareSpread, short_share);
   const bool proportional = in_proportion.log_likelihood - log_scale > alike.log_likelihood;

@@ -92,7 +92,7 @@ double medianSeen(const std::vector<double>& counts, double band_height,
   std::vector<double> seen;
   for (std::size_t k = 0; k < counts.size(); ++k) {
     if (counts[k] > 0.0) {
-      seen.push_back(counts[k] / sampling.at((static_cast<double>(k) + 0.5) * band_height));
+      seen.push_back(counts[k] / sampling.ofStems((static_cast<double>(k) + 0.5) * band_height));
     }
   }
   if (seen.empty()) return 0.0;
@@ -143,7 +143,7 @@ class StemCuts {
       for (std::size_t k = 0; k < counts.core.size(); ++k) {
         const double leaves = is_dense ? leaf_density * counts.by_leaves[k] : 0.0;
         const double cut = start + static_cast<double>(k + 1U) * band_height;
-        const double stem = stem_mean * sampling.at(cut - 0.5 * band_height);
+        const double stem = stem_mean * sampling.ofStems(cut - 0.5 * band_height);
         sum += log_odds(counts.core[k], stem + leaves, kOtherShare * stem + leaves);
         cuts_.push_back({cut, sum});
       }

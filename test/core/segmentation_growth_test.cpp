@@ -909,8 +909,8 @@ TEST(StemTop, ShortStemsOfATallStandStayShort) {
   EXPECT_NEAR(findStemTop(points, allOf(points), midline, {}, stand), 0.9F, 0.06F);
 }
 
-TEST(StemTop, WherePlantsAreTallerThanCanBeSeenWell) {
-  // Above 1.4 m every 25 cm half as many points are left, of stems and leaves alike.
+/// Above 1.4 m every 25 cm half as many points are left.
+SamplingProfile halvedEvery25Centimetres(double canopy) {
   std::vector<float> heights;
   std::vector<LocalShape> shapes;
   for (int k = 0; k < 2600; ++k) {
@@ -920,24 +920,62 @@ TEST(StemTop, WherePlantsAreTallerThanCanBeSeenWell) {
         1U + static_cast<std::uint32_t>(200.0F *
                                         std::exp2(-std::max(0.0F, heights.back() - 1.4F) / 0.25F));
   }
-  const SamplingProfile sampling(heights, shapes);
+  return {heights, shapes, canopy};
+}
+
+/// A stem of 2.3 m with a share of its points left that depends on the height.
+template <class Share>
+Points thinnedStem(const Share& shareAt, unsigned seed) {
+  std::mt19937 random(seed);
+  std::uniform_real_distribution<double> unit(0.0, 1.0);
+  Points points;
+  for (const Eigen::Vector3f& point :
+       surfaceOf(verticalAxis(2.3F, 0.011F), 2000U, 0.002, 2.0 * M_PI, seed)) {
+    if (unit(random) < shareAt(static_cast<double>(point.z()))) points.push_back(point);
+  }
+  return points;
+}
+
+/// Its axis, which runs on.
+Midline axisOfThinnedStem() {
+  Midline midline;
+  midline.axis = verticalAxis(2.6F, 0.011F);
+  midline.spread = 0.002F;
+  return midline;
+}
+
+TEST(StemTop, WherePlantsAreTallerThanCanBeSeenWell) {
+  const SamplingProfile sampling = halvedEvery25Centimetres(0.0);
+  const Midline midline = axisOfThinnedStem();
   int found = 0;
   for (const unsigned seed : {28U, 29U, 30U, 31U, 32U}) {
-    std::mt19937 random(seed);
-    std::uniform_real_distribution<double> unit(0.0, 1.0);
-    Points points;
-    for (const Eigen::Vector3f& point :
-         surfaceOf(verticalAxis(2.3F, 0.011F), 2000U, 0.002, 2.0 * M_PI, seed)) {
-      if (unit(random) < sampling.at(static_cast<double>(point.z()))) points.push_back(point);
-    }
-    Midline midline;
-    midline.axis = verticalAxis(2.6F, 0.011F);
-    midline.spread = 0.002F;
+    const Points points = thinnedStem([&](double height) { return sampling.at(height); }, seed);
     const std::vector<std::uint32_t> members = allOf(points);
     EXPECT_NEAR(findOccupiedEnd(points, members, midline, sampling), 2.3F, 0.1F);
     if (findOccupiedEnd(points, members, midline) > 2.2F) ++found;
   }
   EXPECT_EQ(found, 0) << "without the profile the end looks empty";
+}
+
+TEST(StemTop, WhereLeavesHideStemsFromLowerDownThanTheyThinOut) {
+  const double hidden = 0.6;  // [m] of 5 m
+  const SamplingProfile of_leaves = halvedEvery25Centimetres(0.0);
+  const SamplingProfile sampling = halvedEvery25Centimetres(5.0);
+  const Midline midline = axisOfThinnedStem();
+  int found = 0;
+  int found_as_leaves = 0;
+  for (unsigned seed = 40U; seed < 60U; ++seed) {
+    const Points points =
+        thinnedStem([&](double height) { return of_leaves.at(height + hidden); }, seed);
+    const std::vector<std::uint32_t> members = allOf(points);
+    const auto isFound = [&](const SamplingProfile& profile) {
+      return std::abs(findOccupiedEnd(points, members, midline, profile) - 2.3F) < 0.1F;
+    };
+    if (isFound(sampling)) ++found;
+    if (isFound(of_leaves)) ++found_as_leaves;
+  }
+  EXPECT_GE(found, 18);
+  EXPECT_LE(found_as_leaves, 15);
 }
 
 TEST(StemTop, WhereNothingEndsIt) {

@@ -107,7 +107,7 @@ TEST(StandLength, HeightsThatSayNothingAreLeftOut) {
 }
 
 /// A stand whose surfaces are sampled evenly up to 1.5 m, and from there less and less, up to 3 m.
-SamplingProfile fallingAbove() {
+SamplingProfile fallingAbove(double canopy = 0.0) {
   std::vector<float> heights;
   std::vector<LocalShape> shapes;
   for (int k = 0; k < 3000; ++k) {
@@ -117,7 +117,7 @@ SamplingProfile fallingAbove() {
     shape.neighbors = 1U + static_cast<std::uint32_t>(200.0F * std::exp(-4.0F * above));
     shapes.push_back(shape);
   }
-  return {heights, shapes};
+  return {heights, shapes, canopy};
 }
 
 TEST(StandLength, IsSeenAmongStemsThatStopShort) {
@@ -152,6 +152,16 @@ TEST(SamplingProfile, FallsAboveTheHeightThatIsSampledBest) {
   EXPECT_GT(profile.at(20.0), 0.0);
 }
 
+TEST(SamplingProfile, OfStemsFallsFromLowerDownTheTallerTheCanopy) {
+  const SamplingProfile profile = fallingAbove(2.0);
+  EXPECT_DOUBLE_EQ(profile.ofStems(1.0), 1.0);
+  for (const double height : {1.4, 1.6, 1.8}) {
+    EXPECT_DOUBLE_EQ(profile.ofStems(height), profile.at(height + 0.24)) << height << " m";
+    EXPECT_DOUBLE_EQ(fallingAbove(1.0).ofStems(height), profile.at(height + 0.12)) << height;
+  }
+  EXPECT_DOUBLE_EQ(SamplingProfile().ofStems(1.0), 1.0);
+}
+
 TEST(SamplingProfile, LowPartsInTheShadeOfLeavesCountAsSampledBest) {
   std::vector<float> heights;
   std::vector<LocalShape> shapes(2000U);
@@ -159,7 +169,7 @@ TEST(SamplingProfile, LowPartsInTheShadeOfLeavesCountAsSampledBest) {
     heights.push_back(0.001F * static_cast<float>(k));
     shapes[k].neighbors = k < 1000U ? 3U : 30U;
   }
-  const SamplingProfile profile(heights, shapes);
+  const SamplingProfile profile(heights, shapes, 2.0);
   EXPECT_DOUBLE_EQ(profile.at(0.5), 1.0);
   EXPECT_DOUBLE_EQ(profile.at(1.5), 1.0);
 }
@@ -174,10 +184,10 @@ TEST(SamplingProfile, SaysFromWhereOnNothingLeadsFromPointToPoint) {
     heights.push_back(0.001F * static_cast<float>(k));
     shapes[k].neighbors = k < 500U ? 2U : 30U;
   }
-  EXPECT_TRUE(std::isinf(SamplingProfile(heights, shapes).sparseFrom()));
+  EXPECT_TRUE(std::isinf(SamplingProfile(heights, shapes, 1.0).sparseFrom()));
   heights.push_back(1.45F);
   shapes.emplace_back();
-  EXPECT_NEAR(SamplingProfile(heights, shapes).sparseFrom(), 1.0, 1e-9);
+  EXPECT_NEAR(SamplingProfile(heights, shapes, 1.0).sparseFrom(), 1.0, 1e-9);
   // Nor does one tuft above that is seen better.
   for (std::size_t k = 0; k < 100U; ++k) {
     for (const auto& [height, neighbors] : {std::pair(1.05F, 3U), std::pair(1.15F, 12U)}) {
@@ -186,14 +196,14 @@ TEST(SamplingProfile, SaysFromWhereOnNothingLeadsFromPointToPoint) {
       shapes.back().neighbors = neighbors;
     }
   }
-  EXPECT_NEAR(SamplingProfile(heights, shapes).sparseFrom(), 1.0, 1e-9);
+  EXPECT_NEAR(SamplingProfile(heights, shapes, 1.0).sparseFrom(), 1.0, 1e-9);
 }
 
 TEST(SamplingProfile, IsOneWhereNothingTells) {
   EXPECT_DOUBLE_EQ(SamplingProfile().at(1.0), 1.0);
   EXPECT_TRUE(std::isinf(SamplingProfile().sparseFrom()));
-  EXPECT_DOUBLE_EQ(SamplingProfile({}, {}).at(1.0), 1.0);
-  EXPECT_DOUBLE_EQ(SamplingProfile({0.01F, 0.02F}, {LocalShape(), LocalShape()}).at(1.0), 1.0)
+  EXPECT_DOUBLE_EQ(SamplingProfile({}, {}, 0.05).at(1.0), 1.0);
+  EXPECT_DOUBLE_EQ(SamplingProfile({0.01F, 0.02F}, {LocalShape(), LocalShape()}, 0.05).at(1.0), 1.0)
       << "soil";
 }
 
