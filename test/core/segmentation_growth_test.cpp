@@ -36,6 +36,13 @@ StemAxis bentAxis() {
                    {{0.25F, 0.05F, 1.2F}, 0.004F}});
 }
 
+Midline midlineAlong(StemAxis axis, float spread) {
+  Midline midline;
+  midline.axis = std::move(axis);
+  midline.spread = spread;
+  return midline;
+}
+
 std::vector<std::uint32_t> allOf(const Points& points) {
   std::vector<std::uint32_t> members(points.size());
   for (std::uint32_t i = 0; i < members.size(); ++i) members[i] = i;
@@ -272,10 +279,7 @@ class TinyCloud {
 
 /// So wide and so vague that every point near by is like the stem.
 Midline vagueMidline() {
-  Midline midline;
-  midline.axis = verticalAxis(1.0F, 0.05F);
-  midline.spread = 10.0F;
-  return midline;
+  return midlineAlong(verticalAxis(1.0F, 0.05F), 10.0F);
 }
 
 SegmentationParameters growthParameters(double alpha, double beta) {
@@ -409,9 +413,7 @@ TEST(RegionGrowth, PointsAreAscendingAndOnce) {
   const Points points = surfaceOf(verticalAxis(1.0F, 0.012F), 1000U, 0.001, 2.0 * M_PI, 3U);
   const NeighborGrid grid(points, 0.02F);
   const auto shapes = computeLocalShapes(points, grid, 0.04F);
-  Midline midline;
-  midline.axis = verticalAxis(1.0F, 0.012F);
-  midline.spread = 0.001F;
+  const Midline midline = midlineAlong(verticalAxis(1.0F, 0.012F), 0.001F);
   const testing::GrownRegion region =
       testing::growRegion(GrowthScene{points, shapes, grid}, midline, kStart, kEnd,
                           GrowthSettings(SegmentationParameters()));
@@ -430,9 +432,7 @@ TEST(RegionGrowth, NoMoreJoinTheStricterMIs) {
   }
   const NeighborGrid grid(points, 0.02F);
   const auto shapes = computeLocalShapes(points, grid, 0.04F);
-  Midline midline;
-  midline.axis = verticalAxis(1.0F, 0.012F);
-  midline.spread = 0.002F;
+  const Midline midline = midlineAlong(verticalAxis(1.0F, 0.012F), 0.002F);
   SegmentationParameters parameters;
   parameters.alpha = 0.0;  // the same spheres for every M
   std::size_t most = std::numeric_limits<std::size_t>::max();
@@ -463,9 +463,7 @@ TEST(Similarity, FallsWithDistanceFromTheSurface) {
   for (int k = 0; k <= 40; ++k)
     points.emplace_back(0.012F + 0.001F * static_cast<float>(k), 0, 0.5F);
   const TinyCloud cloud(points);
-  Midline midline;
-  midline.axis = verticalAxis(1.0F, 0.012F);
-  midline.spread = 0.002F;
+  const Midline midline = midlineAlong(verticalAxis(1.0F, 0.012F), 0.002F);
   float before = similarity(cloud.scene(), 0U, midline);
   EXPECT_GT(before, 0.8F) << "on the surface and shaped like a stem";
   EXPECT_LE(before, 1.0F);
@@ -488,9 +486,7 @@ TEST(Similarity, AskForANormalAcrossTheAxis) {
   LocalShape leaf = stem;  // lies flat
   leaf.normal = Eigen::Vector3f::UnitZ();
   leaf.direction = Eigen::Vector3f::UnitX();
-  Midline midline;
-  midline.axis = verticalAxis(1.0F, 0.012F);
-  midline.spread = 0.002F;
+  const Midline midline = midlineAlong(verticalAxis(1.0F, 0.012F), 0.002F);
   const std::vector<LocalShape> shapes = {stem, leaf};
   const GrowthScene scene{points, shapes, grid};
   EXPECT_GT(similarity(scene, 0U, midline), similarity(scene, 1U, midline) + 0.2F);
@@ -753,17 +749,13 @@ TEST(MidlineRefinement, AHiddenFootStaysWhereItWas) {
   for (const Eigen::Vector3f& point : surfaceOf(youngStem(), 400U, 0.003, 2.0 * M_PI, 44U)) {
     if (point.z() > 0.3F) points.push_back(point);
   }
-  Midline midline;
-  midline.axis = youngStem();
-  midline.spread = 0.003F;
+  const Midline midline = midlineAlong(youngStem(), 0.003F);
   const Midline refined = refineMidline(points, allOf(points), midline, 2.0F);
   EXPECT_LT(refined.axis.project({0.0F, 0.0F, 0.0F}).distance, 0.006F);
 }
 
 TEST(MidlineRefinement, TooFewPointsChangeNothing) {
-  Midline midline;
-  midline.axis = youngStem();
-  midline.spread = 0.003F;
+  const Midline midline = midlineAlong(youngStem(), 0.003F);
   for (const std::size_t count : {0U, 1U, 10U}) {
     const Points points = surfaceOf(youngStem(), count, 0.001, 2.0 * M_PI, 45U);
     const Midline refined = refineMidline(points, allOf(points), midline, 1.2F);
@@ -801,9 +793,7 @@ TEST(StemTop, BelowTheTasselsBranches) {
       points.push_back(point);
     }
     addBranches(points, 1.2F, 1.3F, 9, seed);
-    Midline midline;
-    midline.axis = verticalAxis(1.6F, 0.009F);
-    midline.spread = 0.002F;
+    const Midline midline = midlineAlong(verticalAxis(1.6F, 0.009F), 0.002F);
     EXPECT_NEAR(findStemTop(points, allOf(points), midline), 1.2F, 0.03F) << "seed " << seed;
   }
 }
@@ -819,9 +809,7 @@ TEST(StemTop, WhereTheWhorlOpens) {
       const float side = k % 2 == 0 ? 1.0F : -1.0F;
       points.emplace_back(side * (0.01F + 0.25F * t), 0.03F * unit(random), 0.68F + t);
     }
-    Midline midline;
-    midline.axis = verticalAxis(1.1F, 0.01F);
-    midline.spread = 0.002F;
+    const Midline midline = midlineAlong(verticalAxis(1.1F, 0.01F), 0.002F);
     EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.7F, 0.06F) << "seed " << seed;
   }
 }
@@ -838,9 +826,7 @@ TEST(StemTop, WhereLeavesBesideTheAxisExplainWhatIsOnIt) {
       points.emplace_back(distance * std::cos(angle), distance * std::sin(angle),
                           0.7F + 0.4F * unit(random));
     }
-    Midline midline;
-    midline.axis = verticalAxis(1.1F, 0.01F);
-    midline.spread = 0.002F;
+    const Midline midline = midlineAlong(verticalAxis(1.1F, 0.01F), 0.002F);
     EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.7F, 0.08F) << "seed " << seed;
     EXPECT_GT(findStemTop(points, allOf(points), midline, {}, {}, 0.0), 0.9F) << "seed " << seed;
   }
@@ -855,9 +841,7 @@ TEST(StemTop, LeavesAllRoundAnOpenWhorlAreNoTassel) {
       addBlade(points, 0.54F + 0.03F * k, 0.5F, 0.25F, 2.4F * k, 250,
                seed + 10U * static_cast<unsigned>(leaf));
     }
-    Midline midline;
-    midline.axis = verticalAxis(1.0F, 0.01F);
-    midline.spread = 0.002F;
+    const Midline midline = midlineAlong(verticalAxis(1.0F, 0.01F), 0.002F);
     EXPECT_NEAR(findStemTop(points, allOf(points), midline), 0.7F, 0.07F) << "seed " << seed;
   }
 }
@@ -867,18 +851,13 @@ TEST(StemTop, NotAtAnEar) {
   Points points = surfaceOf(verticalAxis(1.6F, 0.01F), 1600U, 0.002, 2.0 * M_PI, 19U);
   addBranches(points, 1.1F, 1.15F, 9, 19U);
   addBranches(points, 1.4F, 1.45F, 9, 20U);
-  Midline midline;
-  midline.axis = verticalAxis(1.6F, 0.01F);
-  midline.spread = 0.002F;
+  const Midline midline = midlineAlong(verticalAxis(1.6F, 0.01F), 0.002F);
   EXPECT_GT(findStemTop(points, allOf(points), midline), 1.35F);
 }
 
 /// An axis of 1.6 m, of which less is a stem.
 Midline axisThatRunsOn() {
-  Midline midline;
-  midline.axis = verticalAxis(1.6F, 0.009F);
-  midline.spread = 0.002F;
-  return midline;
+  return midlineAlong(verticalAxis(1.6F, 0.009F), 0.002F);
 }
 
 TEST(StemTop, AsTheStandsWhereTheTasselShowsOnOneSideOnly) {
@@ -938,10 +917,7 @@ Points thinnedStem(const Share& shareAt, unsigned seed) {
 
 /// Its axis, which runs on.
 Midline axisOfThinnedStem() {
-  Midline midline;
-  midline.axis = verticalAxis(2.6F, 0.011F);
-  midline.spread = 0.002F;
-  return midline;
+  return midlineAlong(verticalAxis(2.6F, 0.011F), 0.002F);
 }
 
 TEST(StemTop, WherePlantsAreTallerThanCanBeSeenWell) {
@@ -979,9 +955,7 @@ TEST(StemTop, WhereLeavesHideStemsFromLowerDownThanTheyThinOut) {
 }
 
 TEST(StemTop, WhereNothingEndsIt) {
-  Midline midline;
-  midline.axis = maizeStem();
-  midline.spread = 0.0015F;
+  const Midline midline = midlineAlong(maizeStem(), 0.0015F);
   const Points points = surfaceOf(maizeStem(), 2000U, 0.0015, 2.0 * M_PI, 16U);
   EXPECT_NEAR(findStemTop(points, allOf(points), midline), maizeStem().length(), 0.051F)
       << "to one band";
