@@ -10,6 +10,7 @@
 #include <random>
 #include <set>
 #include <stdexcept>
+#include <utility>
 
 #include "field_phenotyping/segmentation/growth_scene.hpp"
 #include "field_phenotyping/segmentation/local_shape.hpp"
